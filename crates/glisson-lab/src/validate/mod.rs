@@ -32,6 +32,7 @@ mod rheology;
 mod rotation;
 mod many_bodies;
 mod self_contact;
+mod sutures;
 mod tissue;
 pub mod touch_truth;
 pub mod rough_hands;
@@ -243,6 +244,7 @@ pub const GROUPS: &[Group] = &[
     Group::new("mesh_repair", "Shape of tetrahedra, cuts by vertex displacement, and their repair by collapse and by remeshing.", mesh_repair::experiments),
     Group::new("cut_subdivision", "Cutting along the swept blade: areas, shapes, volumes, pieces.", cut_subdivision::experiments),
     Group::new("embedded_cuts", "Embedded cuts: slits against a conforming mesh, random strokes, the stable step after them.", embedded_cuts::experiments),
+    Group::new("sutures", "A stitch through the sides of a groove: pulled shut, the same in two models, forces in balance, tied by clips.", sutures::experiments),
     Group::new("cutting", "Removal equals rebuild, and tearing.", cutting::experiments),
     Group::new("cutting_sanity", "A moving body that is cut: area, mass, volume, energy, Euler characteristics.", cutting_sanity::experiments),
     Group::new("volume", "Changes of volume of a bent cylinder and a pulled liver: linear, non-linear, with penalty.", volume::experiments),

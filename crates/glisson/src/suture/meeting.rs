@@ -15,8 +15,13 @@ use crate::math::DVec3;
 const REPULSION_N_PER_M: f64 = 1e4;
 /// Share of the distance that is left which a step may take: a choice.
 const MAY_TAKE: f64 = 0.9;
-/// Pairs of segments that are looked at in a step, at most.
-pub(super) const MOST_PAIRS: usize = 512;
+/// Pairs of segments that are not neighbours along the thread and are looked at in a step, at most.
+const MOST_PAIRS: usize = 512;
+
+/// Room for the pairs of a thread of so many nodes: those of segments two and three apart are always looked at.
+pub(super) fn room_for_pairs(n_nodes: usize) -> usize {
+    2 * n_nodes + MOST_PAIRS
+}
 
 /// Two places of a thread that a clip holds together.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -9,7 +9,7 @@
 //! potential takes three times as many. No iteration brings the thread through itself. Nothing is allocated once there is room.
 
 use super::banded::Banded;
-use super::meeting::{Bond, MOST_PAIRS, Pair, allowed_share, find_pairs, repulsion};
+use super::meeting::{Bond, Pair, allowed_share, find_pairs, repulsion, room_for_pairs};
 use super::rod::{Rod, RodPlace};
 use super::tie::Tie;
 use crate::math::{DMat3, DVec3, outer};
@@ -89,7 +89,7 @@ impl Solver {
             target_m: zeros(),
             before_m: zeros(),
             tension_n: vec![0.0; n_nodes - 1],
-            pairs: BoundedVec::with_capacity(MOST_PAIRS),
+            pairs: BoundedVec::with_capacity(room_for_pairs(n_nodes)),
             columns: BoundedVec::with_capacity(MOST_COLUMNS),
             solved: (0..MOST_COLUMNS).map(|_| zeros()).collect(),
             small: BoundedVec::with_capacity(MOST_COLUMNS * MOST_COLUMNS),
@@ -117,10 +117,10 @@ impl Solver {
             let most_m = MOST_SEGMENTS * spacing_m;
             find_pairs(&rod.positions_m, (rod.radius_m(), most_m), around.bonds, &mut self.pairs);
             self.find_direction(rod, around);
-            let longest_m = self.step_m.iter().map(|s| s.length()).fold(0.0, f64::max);
-            if !longest_m.is_finite() {
+            if !self.step_m.iter().all(|step_m| step_m.is_finite()) {
                 return;
             }
+            let longest_m = self.step_m.iter().map(|s| s.length()).fold(0.0, f64::max);
             let free = allowed_share(&self.pairs, &rod.positions_m, &self.step_m, rod.radius_m());
             let share = free.min(most_m / longest_m.max(f64::MIN_POSITIVE));
             for (position_m, step_m) in rod.positions_m.iter_mut().zip(&self.step_m) {

@@ -63,12 +63,24 @@ pub enum SutureError {
         needed_mm: f64,
     },
     /// Too many places in tissue.
-    #[error("the path runs through {length_mm:.0} mm of tissue; allowed: {most_mm:.0} mm")]
+    #[error(
+        "the path runs through {length_mm:.0} mm of tissue, with {n} places that hold it, every 4 mm and two a stitch; allowed: {most}"
+    )]
     TooLongInTissue {
         /// How much [mm].
         length_mm: f64,
-        /// Most [mm].
-        most_mm: f64,
+        /// Places.
+        n: usize,
+        /// Most of them.
+        most: usize,
+    },
+    /// Too many clips.
+    #[error("{n} clips on a thread; allowed: {most}")]
+    Clips {
+        /// How many.
+        n: usize,
+        /// Most.
+        most: usize,
     },
     /// A clip beyond the thread.
     #[error("a clip at {at_mm:.1} mm of a thread of {length_mm:.1} mm")]

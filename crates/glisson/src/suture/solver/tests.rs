@@ -117,7 +117,7 @@ fn a_thread_pressed_against_itself_does_not_pass() {
     let mut ties = [soft(0), soft(30), soft(n - 34), soft(n - 1)];
     let mut least_m = f64::INFINITY;
     let mut most_n: f64 = 0.0;
-    let mut pairs = Vec::with_capacity(MOST_PAIRS);
+    let mut pairs = Vec::with_capacity(room_for_pairs(n));
     let mut solver = Solver::new(n);
     for step in 0..1500 {
         let down_m = DVec3::Z * (-0.022 * (step as f64 / 1000.0).min(1.0));

@@ -40,7 +40,8 @@ impl Grip {
     }
 
     pub(super) fn numbers(self) -> impl Iterator<Item = f64> {
-        self.along_m.into_iter().chain(self.in_tool_m.into_iter().flat_map(|p| p.to_array()))
+        let places = std::iter::once(self.n_places() as f64);
+        places.chain(self.along_m).chain(self.in_tool_m.into_iter().flat_map(|p| p.to_array()))
     }
 
     /// Takes what is between jaws that are open by `opening`: the place of the thread that is nearest to their tip. Of a needle, which

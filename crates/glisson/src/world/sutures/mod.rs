@@ -1,11 +1,12 @@
 //! Threads that pass through tissue, lie on it and are held by instruments.
 //!
 //! A thread is a rod ([`crate::suture`]). What it passes through and lies on gives way as in [`super::press`]: under forces F of the
-//! thread the touched nodes go to x(t) + C (F - f + m (2 v - v')/s), with the forces f of the last step; so tissue and thread meet in
-//! the middle within a step, and the forces go to the model. C joins places: what one pulls on, another feels. Each place is taken
-//! to be as soft as all of them make it together, which never overshoots, and the step is repeated some times from where that
-//! led ([`ROUNDS`]). In each round the thread slides through its holes as far as friction does not hold it, by Coulomb's law on the
-//! force across it there.
+//! thread the touched nodes go to x(t) + d + C (F - f), with the forces f of the last step and the way d that their motion takes them;
+//! so tissue and thread meet in the middle within a step, and the forces go to the model. In a single explicit step, which C knows
+//! exactly, their last acceleration goes on as well; foreseen for a longer step, where it is that of few of the nodes that take part,
+//! it shook the tissue. C joins places: what one pulls on, another feels. Each place is taken to be as soft as all of them make it
+//! together, which never overshoots, and the step is repeated some times from where that led ([`ROUNDS`]). In each round the thread
+//! slides through its holes as far as friction does not hold it, by Coulomb's law on the force across it there.
 //!
 //! Instruments hold it by their hand's spring: they come after it by what it pulls.
 
@@ -109,7 +110,9 @@ impl Suture {
             if let Some(beyond_m) = along_m.into_iter().find(|m| !(0.0..=length_m).contains(m)) {
                 return Err(SutureError::Clip { at_mm: 1e3 * beyond_m, length_mm: 1e3 * length_m });
             }
-            suture.add_clip(along_m);
+            if !suture.add_clip(along_m) {
+                return Err(SutureError::Clips { n: spec.clips_m.len(), most: MOST_CLIPS });
+            }
         }
         Ok(suture)
     }
@@ -166,8 +169,9 @@ impl Suture {
     }
 
     /// Places along a clip keep to one strand's order.
-    fn add_clip(&mut self, [a, b]: [f64; 2]) {
-        self.clips.try_push(ThreadClip { along_m: [a.min(b), a.max(b)] });
+    /// Answers whether there was room for it.
+    fn add_clip(&mut self, [a, b]: [f64; 2]) -> bool {
+        self.clips.try_push(ThreadClip { along_m: [a.min(b), a.max(b)] })
     }
 
     /// Everything that its next steps depend on.
@@ -179,9 +183,18 @@ impl Suture {
         let grips = grips.filter_map(|(tool, grip)| Some((tool, (*grip)?)));
         let grips = grips.flat_map(|(tool, grip)| std::iter::once(tool as f64).chain(grip.numbers()));
         let touched = self.touched.iter().flat_map(TouchedNode::numbers);
+        let forces = self.forces.iter().map(|force| (force.node, force.force_n));
+        let forces = forces.flat_map(|(node, f)| [f64::from(node.0), f.x, f.y, f.z]);
+        let counts = [self.passages.len(), self.clips.len(), self.touched.len()].map(|n| n as f64);
         let inside = f64::from(u8::from(self.tip_is_inside));
         let rod = rod.flat_map(|v| v.to_array());
-        rod.chain(passages).chain(clips).chain(grips).chain(touched).chain([inside, self.softness])
+        rod.chain(passages)
+            .chain(clips)
+            .chain(grips)
+            .chain(touched)
+            .chain(forces)
+            .chain(counts)
+            .chain([inside, self.softness])
     }
 
     /// Takes hold where jaws have just closed, and lets go where they are open.
@@ -215,10 +228,11 @@ impl Suture {
 
     /// After an edit of the tissue.
     pub(super) fn follow_edit(&mut self, body: &EditableMesh) {
-        passage::follow(&mut self.passages, self.tip_is_inside, body);
+        passage::follow(&mut self.passages, &mut self.tip_is_inside, body);
         let topology = body.topology();
         let is_there = |node: NodeId| node.index() < topology.n_nodes() && topology.is_live_node(node);
         self.touched.retain(|touched| is_there(touched.node));
+        self.forces.retain(|force| is_there(force.node));
     }
 
     /// An instrument was put elsewhere.
@@ -258,8 +272,9 @@ impl World {
     /// All threads as at the start, in the tissue that is there now; one that cannot be laid any more is as it was.
     pub(super) fn lay_threads_anew(&mut self) {
         for (suture, spec) in self.sutures.iter_mut().zip(&self.spec.sutures) {
-            if let Ok(new) = Suture::new(spec, &self.organ) {
-                *suture = new;
+            match Suture::new(spec, &self.organ) {
+                Ok(new) => *suture = new,
+                Err(_) => suture.follow_edit(self.organ.body()),
             }
         }
         self.hold_threads_at_start();

@@ -18,16 +18,17 @@ impl Suture {
     /// Lets the needle's tip go in or come out, after the last step.
     pub(super) fn pierce(&mut self, spec: &SutureSpec, organ: &Organ) {
         let Some(needle) = &spec.needle else { return };
-        if self.passages.len() == MOST_PASSAGES {
-            return;
-        }
+        let has_room = self.passages.len() < MOST_PASSAGES;
         let tip_m = self.rod.positions_m[0];
         if !self.tip_is_inside {
             let push_n = self.lies_n[0];
             let along = -self.rod.direction_at(0.0);
             let goes_in =
                 push_n.length() >= needle.puncture_force_n && along.dot(push_n) > STEEP * push_n.length();
-            if goes_in && let Some((site, _)) = self.nearest_of_surface(tip_m, organ) {
+            if goes_in
+                && has_room
+                && let Some((site, _)) = self.nearest_of_surface(tip_m, organ)
+            {
                 self.passages.insert(0, Passage::new(organ.body(), site, 0.0, true));
                 self.lies_n[0] = DVec3::ZERO;
                 self.tip_is_inside = true;
@@ -37,7 +38,7 @@ impl Suture {
         let Some(last) = self.passages.first().copied() else { return };
         let topology = organ.body().topology();
         match Site::walk(topology, last.site.tet, tip_m, organ.positions_m()) {
-            Some(site) if last.along_m > INNER_M => {
+            Some(site) if last.along_m > INNER_M && has_room => {
                 self.passages.insert(0, Passage::new(organ.body(), site, 0.0, false));
             }
             Some(_) => {}
@@ -51,6 +52,10 @@ impl Suture {
                 if last.is_hole && last.along_m <= out_m.max(self.rod.radius_m()) {
                     self.passages.remove(0);
                 } else {
+                    if !has_room {
+                        // The place before gives way to the hole.
+                        self.passages.remove(0);
+                    }
                     let along_m = out_m.min(0.5 * last.along_m);
                     self.passages.insert(0, Passage::new(organ.body(), site, along_m, true));
                 }

@@ -37,11 +37,12 @@ impl Passage {
         Self { site, rest_m, along_m, force_n: DVec3::ZERO, is_hole }
     }
 
-    pub(super) fn numbers(&self) -> [f64; 10] {
+    pub(super) fn numbers(&self) -> [f64; 13] {
         let [a, b, c, d] = self.site.weights;
         let hole = f64::from(u8::from(self.is_hole));
-        let f = self.force_n;
-        [f64::from(self.site.tet.0), a, b, c, d, self.along_m, f.x, f.y, f.z, hole]
+        let (f, rest) = (self.force_n, self.rest_m);
+        let tet = f64::from(self.site.tet.0);
+        [tet, a, b, c, d, self.along_m, f.x, f.y, f.z, hole, rest.x, rest.y, rest.z]
     }
 }
 
@@ -97,18 +98,20 @@ pub(super) fn laid(rod: &Rod, organ: &Organ) -> Result<(Vec<Passage>, bool), Sut
         }
     }
     if passages.len() > MOST_PASSAGES {
-        let most_mm = 1e3 * INNER_M * MOST_PASSAGES as f64;
-        return Err(SutureError::TooLongInTissue { length_mm: 1e3 * in_tissue_m, most_mm });
+        let (n, length_mm) = (passages.len(), 1e3 * in_tissue_m);
+        return Err(SutureError::TooLongInTissue { length_mm, n, most: MOST_PASSAGES });
     }
     Ok((passages, tip_is_inside))
 }
 
 /// Follows an edit: places go with the tissue that is there now; those without are given up, and where that opens the tissue
 /// between two holes, the next one inside becomes the hole. Allocates nothing.
-pub(super) fn follow(passages: &mut Vec<Passage>, tip_is_inside: bool, body: &EditableMesh) {
+pub(super) fn follow(passages: &mut Vec<Passage>, tip_is_inside: &mut bool, body: &EditableMesh) {
     let topology = body.topology();
     let mut kept: usize = 0;
-    let mut is_in = tip_is_inside;
+    let mut is_in = *tip_is_inside;
+    // Whether the tissue around the first end is gone: then it is outside, and what is left of its way in has to begin anew.
+    let mut tip_is_bare = false;
     // Whether the hole that led in here is gone, so that the next place is one.
     let mut opened = false;
     for i in 0..passages.len() {
@@ -119,8 +122,9 @@ pub(super) fn follow(passages: &mut Vec<Passage>, tip_is_inside: bool, body: &Ed
         let found = if stays { Some(passage.site) } else { site_of(body, passage.rest_m) };
         let was_hole = passage.is_hole;
         let Some(site) = found else {
+            tip_is_bare |= *tip_is_inside && is_in && kept == 0;
             if was_hole {
-                if is_in {
+                if is_in && !std::mem::take(&mut opened) {
                     // The way out is gone: the last place inside is it.
                     match kept.checked_sub(1).map(|last| &mut passages[last]) {
                         Some(last) if !last.is_hole => last.is_hole = true,
@@ -128,14 +132,21 @@ pub(super) fn follow(passages: &mut Vec<Passage>, tip_is_inside: bool, body: &Ed
                         Some(_) => kept -= 1,
                         None => {}
                     }
-                    opened = false;
-                } else {
+                } else if !is_in {
                     opened = true;
                 }
                 is_in = !is_in;
             }
             continue;
         };
+        if std::mem::take(&mut tip_is_bare) {
+            *tip_is_inside = false;
+            if was_hole && is_in {
+                is_in = false;
+                continue;
+            }
+            opened = is_in;
+        }
         if opened && was_hole {
             // In and out of what is gone.
             opened = false;
@@ -149,4 +160,6 @@ pub(super) fn follow(passages: &mut Vec<Passage>, tip_is_inside: bool, body: &Ed
         kept += 1;
     }
     passages.truncate(kept);
+    // Nothing is left that it could be in.
+    *tip_is_inside &= !tip_is_bare && kept > 0;
 }

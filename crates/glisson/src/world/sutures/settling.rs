@@ -88,6 +88,8 @@ pub(super) struct Scratch {
     /// Of the patch's nodes: where they go freely, by how much their forces change, and where that takes them.
     free_m: Vec<DVec3>,
     change_n: Vec<DVec3>,
+    /// Forces on them in the last step [N].
+    before_n: Vec<DVec3>,
     moves_m: Vec<DVec3>,
     /// How many places each one bears, by their weights.
     borne: Vec<f64>,
@@ -117,6 +119,7 @@ impl Scratch {
             bonds: BoundedVec::with_capacity(super::MOST_CLIPS),
             free_m: zeros(),
             change_n: zeros(),
+            before_n: Vec::with_capacity(Self::MOST_NODES),
             moves_m: zeros(),
             borne: vec![0.0; Self::MOST_NODES],
             tensors: Vec::with_capacity(Self::MOST_NODES * Self::MOST_NODES),
@@ -166,7 +169,7 @@ impl Scratch {
         }
         for (j, &node) in self.patch.iter().enumerate() {
             let kg_per_s = local.mass_kg.get(j).map_or(0.0, |mass_kg| mass_kg / dt_s);
-            self.change_n[j] = velocity.gained(node) * kg_per_s;
+            self.change_n[j] = if local.is_inertial { velocity.gained(node) * kg_per_s } else { DVec3::ZERO };
         }
         self.answer();
         for i in 0..n {
@@ -284,7 +287,7 @@ impl Suture {
             further_m2 += (*now_m - touched.expected_m).dot(touched.answer_m);
             answered_m2 += touched.answer_m.length_squared() + touched.way_m.length_squared();
         }
-        self.softness = softer(self.softness, further_m2 / answered_m2);
+        self.softness = if answered_m2 > 0.0 { softer(self.softness, further_m2 / answered_m2) } else { 1.0 };
     }
 
     /// Nodes that the model is asked for: of all passages, then of what the thread lies on.
@@ -294,11 +297,19 @@ impl Suture {
         for passage in self.passages.iter() {
             scratch.ask_for(&passage.site.nodes(organ.body()));
         }
+        for force in self.forces.iter() {
+            scratch.ask_for(&[force.node]);
+        }
         for i in 0..scratch.walls.len() {
             let wall = scratch.walls[i];
             if wall.is_near {
                 scratch.walls[i].is_near = scratch.ask_for(&wall.nodes);
             }
+        }
+        scratch.before_n.clear();
+        for node in scratch.patch.iter() {
+            let before = self.forces.binary_search_by_key(node, |force| force.node);
+            scratch.before_n.push(before.map_or(DVec3::ZERO, |place| self.forces[place].force_n));
         }
     }
 
@@ -377,6 +388,7 @@ impl Suture {
             };
             self.scratch.ties.try_push(tie);
         }
+        self.respond(spec.friction_coefficient);
         for round in 0..ROUNDS {
             let around = Surroundings {
                 ties: &self.scratch.ties,
@@ -480,19 +492,38 @@ impl Suture {
     /// After a round: the tissue answers to the forces of the round, and the next one begins there.
     fn answer(&mut self, friction_coefficient: f64) {
         let scratch = &mut *self.scratch;
-        scratch.change_n.fill(DVec3::ZERO);
         for (held, tie) in scratch.held.iter().zip(scratch.ties.iter_mut()) {
-            let force_n = tie.force_n(&self.rod.positions_m);
-            if let Holder::Grip { .. } = held.holder {
-                continue;
+            if !matches!(held.holder, Holder::Grip { .. }) {
+                tie.force_before_n = tie.force_n(&self.rod.positions_m);
             }
-            tie.force_before_n = force_n;
-            let change_n = force_n - held.before_n;
-            let Some(places) = held.places else {
-                tie.place_m = held.free_m + change_n * held.own_m_per_n;
-                continue;
-            };
-            (0..held.n_nodes).for_each(|v| scratch.change_n[places[v]] += change_n * held.weights[v]);
+        }
+        self.respond(friction_coefficient);
+    }
+
+    /// Where the forces of the ties take the tissue. What the thread let go of since the last step counts too: a place that it lies on
+    /// is another one when it has slid on.
+    fn respond(&mut self, friction_coefficient: f64) {
+        let scratch = &mut *self.scratch;
+        for (change_n, before_n) in scratch.change_n.iter_mut().zip(&scratch.before_n) {
+            *change_n = -*before_n;
+        }
+        for (held, tie) in scratch.held.iter().zip(scratch.ties.iter_mut()) {
+            let force_n = tie.force_before_n;
+            match held.places {
+                Some(places) => {
+                    (0..held.n_nodes).for_each(|v| scratch.change_n[places[v]] += force_n * held.weights[v]);
+                }
+                None if held.n_nodes > 0 => {
+                    tie.place_m = held.free_m + (force_n - held.before_n) * held.own_m_per_n;
+                    // What it pulls on may be known to others.
+                    for v in 0..held.n_nodes {
+                        if let Some(place) = scratch.patch.iter().position(|node| *node == held.nodes[v]) {
+                            scratch.change_n[place] += force_n * held.weights[v];
+                        }
+                    }
+                }
+                None => {}
+            }
         }
         scratch.answer();
         for (held, tie) in scratch.held.iter().zip(scratch.ties.iter_mut()) {
@@ -514,7 +545,11 @@ impl Suture {
         self.forces.clear();
         self.lies_n.fill(DVec3::ZERO);
         for (held, tie) in self.scratch.held.iter().zip(self.scratch.ties.iter()) {
-            let force_n = tie.force_n(&self.rod.positions_m);
+            // Of the last round: what the tissue answered to.
+            let force_n = match held.holder {
+                Holder::Grip { .. } => tie.force_n(&self.rod.positions_m),
+                _ => tie.force_before_n,
+            };
             if !force_n.is_finite() {
                 continue;
             }
@@ -564,6 +599,7 @@ impl Suture {
         while self.passages.last().is_some_and(|last| last.along_m > length_m) {
             self.passages.pop();
         }
+        self.tip_is_inside &= !self.passages.is_empty();
     }
 }
 

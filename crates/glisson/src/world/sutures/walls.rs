@@ -10,8 +10,6 @@ use crate::world::organ::Organ;
 const REACH_M: f64 = 3e-3;
 /// A node that is nearer to tissue than this [m] is answered by the model's own compliance: a choice.
 const NEAR_M: f64 = 3e-4;
-/// Triangles whose distance differs by no more than this are equally near [m].
-const SAME_M: f64 = 1e-9;
 
 /// Tissue beside a node of a thread.
 #[derive(Clone, Copy, Debug)]
@@ -46,32 +44,30 @@ impl Suture {
                 self.lies_n[node] = DVec3::ZERO;
                 continue;
             };
-            let place_m = |nodes: [NodeId; 3], weights: [f64; 3]| -> DVec3 {
-                (0..3).map(|v| organ.positions_m()[nodes[v].index()] * weights[v]).sum()
-            };
-            let nearest_m = place_m(first.nodes, first.found.weights).distance(at_m);
-            // Of triangles that meet at the nearest place, the one that faces the node most tells the side.
-            let mut best: Option<(f64, Wall)> = None;
-            for place in near.iter().map(|contact| organ.skin().place_of(*contact)) {
-                let point_m = place_m(place.nodes, place.found.weights);
-                let off_m = at_m - point_m;
-                if off_m.length() > nearest_m + SAME_M {
-                    continue;
-                }
-                let face = organ.face_normal(place.nodes);
-                let facing = off_m.normalize_or(face).dot(face);
-                if best.as_ref().is_some_and(|(most, _)| facing.abs() <= most.abs()) {
-                    continue;
-                }
-                let normal = if facing < 0.0 { -off_m.normalize_or(-face) } else { off_m.normalize_or(face) };
-                let gap_m = off_m.dot(normal) - radius_m;
-                let is_near = gap_m < NEAR_M + way_m || self.lies_n[node] != DVec3::ZERO;
-                let wall = Wall { node, nodes: place.nodes, weights: place.found.weights, normal, is_near };
-                best = Some((facing, wall));
-            }
-            if let Some((_, wall)) = best {
-                self.scratch.walls.try_push(wall);
-            }
+            let point_m: DVec3 =
+                (0..3).map(|v| organ.positions_m()[first.nodes[v].index()] * first.found.weights[v]).sum();
+            let normal: DVec3 =
+                (0..3).map(|v| normal_at(organ, first.nodes[v]) * first.found.weights[v]).sum();
+            let normal = normal.normalize_or(organ.face_normal(first.nodes));
+            let gap_m = (at_m - point_m).dot(normal) - radius_m;
+            let is_near = gap_m < NEAR_M + way_m || self.lies_n[node] != DVec3::ZERO;
+            self.scratch.walls.try_push(Wall {
+                node,
+                nodes: first.nodes,
+                weights: first.found.weights,
+                normal,
+                is_near,
+            });
         }
     }
+}
+
+/// Normal of the surface at a node: the mean of its triangles' by their areas, so that it does not jump between them.
+fn normal_at(organ: &Organ, node: NodeId) -> DVec3 {
+    let positions_m = organ.positions_m();
+    let area = |nodes: [NodeId; 3]| {
+        let [a, b, c] = nodes.map(|n| positions_m[n.index()]);
+        (b - a).cross(c - a)
+    };
+    organ.skin().around(node).map(area).sum::<DVec3>().normalize_or_zero()
 }

@@ -236,6 +236,43 @@ fn a_stitch_follows_edits_of_its_tissue_and_their_undo() {
     assert!(groove_m(&world) < 4.2e-3, "{}", groove_m(&world));
 }
 
+/// Two bites into a plate; the tissue of the second one goes.
+#[test]
+fn a_bite_that_is_cut_out_leaves_the_other_one() {
+    let side = "{ min = [\"-1 mm\", \"-1 mm\", \"-1 mm\"], max = [\"41 mm\", \"4.1 mm\", \"9 mm\"] }";
+    let corners = [[2, 20], [8, 4], [12, 4], [20, 14], [28, 4], [32, 4], [38, 20]];
+    let point = |[x, z]: [i32; 2]| format!("[\"{x} mm\", \"21 mm\", \"{z} mm\"]");
+    let text = format!(
+        "{}[[suture]]\nsize = \"3-0\"\npath = [{}]\n{}",
+        organ("implicit", 5.0, side),
+        corners.map(point).join(", "),
+        tool("grasper", [2.0, 21.0, 60.0], 1)
+    );
+    let mut world = open(&text, &plate());
+    let holes_m: Vec<f64> = world.sutures()[0].holes_m().collect();
+    assert_eq!(holes_m.len(), 4);
+    let rest_m = world.organ().mesh().positions_m.clone();
+    let middle_m = |t: &[glisson::mesh::NodeId; 4]| -> DVec3 {
+        t.iter().map(|n| rest_m[n.index()]).sum::<DVec3>() / 4.0
+    };
+    let tets = &world.organ().mesh().tetrahedra;
+    let gone = (0..tets.len()).filter(|&i| {
+        let p = middle_m(&tets[i]);
+        (22e-3..38e-3).contains(&p.x) && (14e-3..28e-3).contains(&p.y)
+    });
+    let edit = MeshEdit::Remove { tets: gone.map(glisson::mesh::TetId::from_index).collect() };
+    world.edit(&edit).unwrap();
+    let suture = &world.sutures()[0];
+    assert_eq!(suture.holes_m().collect::<Vec<_>>(), holes_m[..2]);
+    assert!(suture.is_in_tissue(0.5 * (holes_m[0] + holes_m[1])));
+    assert!(
+        !suture.is_in_tissue(0.5 * (holes_m[2] + holes_m[3]))
+            && !suture.is_in_tissue(suture.rod().length_m())
+    );
+    assert!(world.undo_edit());
+    assert_eq!(world.sutures()[0].holes_m().collect::<Vec<_>>(), holes_m);
+}
+
 #[test]
 fn a_thread_that_lies_in_itself_is_refused() {
     let text = stitch("implicit", 5.0, "")

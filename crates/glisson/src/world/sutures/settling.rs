@@ -8,7 +8,7 @@ use crate::contact::tool_contact::ToolContact;
 use crate::math::{DMat3, DVec3};
 use crate::mesh::NodeId;
 use crate::model::bounded_vec::BoundedVec;
-use crate::model::{LocalModel, NodalForce};
+use crate::model::{LocalModel, NodalForce, StepAnswer};
 use crate::suture::{Bond, Surroundings, Tie, TieLaw};
 use crate::tool::pose::ToolFrame;
 use crate::tool::{MAX_TOOLS, Tool};
@@ -169,7 +169,7 @@ impl Scratch {
         }
         for (j, &node) in self.patch.iter().enumerate() {
             let kg_per_s = local.mass_kg.get(j).map_or(0.0, |mass_kg| mass_kg / dt_s);
-            self.change_n[j] = if local.is_inertial { velocity.gained(node) * kg_per_s } else { DVec3::ZERO };
+            self.change_n[j] = if velocity.goes_on { velocity.gained(node) * kg_per_s } else { DVec3::ZERO };
         }
         self.answer();
         for i in 0..n {
@@ -209,6 +209,8 @@ impl Scratch {
 
 /// Velocities of the tissue's nodes now and before.
 struct Velocities<'a> {
+    /// Whether their last change goes on in a step: in a single explicit one.
+    goes_on: bool,
     now_m_per_s: &'a [DVec3],
     before: &'a [TouchedNode],
 }
@@ -260,7 +262,8 @@ impl World {
             dt_s,
         };
         let spec = &self.spec.sutures[number];
-        let velocity = Velocities { now_m_per_s: state.velocities_m_per_s, before: &suture.touched };
+        let goes_on = self.model.step_answer() == StepAnswer::NodeByNode;
+        let velocity = Velocities { goes_on, now_m_per_s: state.velocities_m_per_s, before: &suture.touched };
         suture.scratch.learn(&self.slide.local, &self.organ, (&velocity, suture.softness), dt_s);
         suture.gather_ties(&self.organ, &with);
         suture.come_to_terms(spec, &with, self.gravity_m_per_s2);

@@ -72,8 +72,6 @@ pub struct Surroundings<'a> {
     pub ties: &'a [Tie],
     /// What holds it together.
     pub bonds: &'a [Bond],
-    /// Gravity [m/s2].
-    pub gravity_m_per_s2: DVec3,
     /// Time step [s].
     pub dt_s: f64,
 }
@@ -98,13 +96,13 @@ impl Solver {
     }
 
     /// A step begins: where the thread goes by itself.
-    pub fn start(&mut self, rod: &Rod, around: &Surroundings<'_>) {
+    pub fn start(&mut self, rod: &Rod, gravity_m_per_s2: DVec3, dt_s: f64) {
         self.before_m.copy_from_slice(&rod.positions_m);
         for (segment, tension_n) in self.tension_n.iter_mut().enumerate() {
             *tension_n = rod.tension_n(segment);
         }
-        let kept = around.dt_s * FADES_S / (FADES_S + around.dt_s);
-        let fall_m = around.gravity_m_per_s2 * (around.dt_s * around.dt_s);
+        let kept = dt_s * FADES_S / (FADES_S + dt_s);
+        let fall_m = gravity_m_per_s2 * (dt_s * dt_s);
         for (i, target_m) in self.target_m.iter_mut().enumerate() {
             *target_m = rod.positions_m[i] + rod.velocities_m_per_s[i] * kept + fall_m;
         }

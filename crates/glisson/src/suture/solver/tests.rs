@@ -32,8 +32,8 @@ fn run(
     let mut solver = Solver::new(rod.n_nodes());
     for step in 0..n_steps {
         lead(step, ties);
-        let around = Surroundings { ties, bonds, gravity_m_per_s2: DVec3::Z * -9.81, dt_s: 1e-3 };
-        solver.start(rod, &around);
+        let around = Surroundings { ties, bonds, dt_s: 1e-3 };
+        solver.start(rod, DVec3::Z * -9.81, 1e-3);
         solver.settle(rod, &around);
         solver.finish(rod, 1e-3);
     }
@@ -128,8 +128,8 @@ fn a_thread_pressed_against_itself_does_not_pass() {
         least_m = nearest_m.fold(least_m, f64::min);
         most_n = ties.iter().map(|tie| tie.force_n(&rod.positions_m).length()).fold(most_n, f64::max);
         let gravity_m_per_s2 = DVec3::Z * -9.81;
-        let around = Surroundings { ties: &ties, bonds: &[], gravity_m_per_s2, dt_s: 1e-3 };
-        solver.start(&rod, &around);
+        let around = Surroundings { ties: &ties, bonds: &[], dt_s: 1e-3 };
+        solver.start(&rod, gravity_m_per_s2, 1e-3);
         solver.settle(&mut rod, &around);
         solver.finish(&mut rod, 1e-3);
     }

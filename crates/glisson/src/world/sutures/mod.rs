@@ -168,8 +168,7 @@ impl Suture {
         }));
     }
 
-    /// Places along a clip keep to one strand's order.
-    /// Answers whether there was room for it.
+    /// Sets a clip, its places in the thread's order; answers whether there was room for it.
     fn add_clip(&mut self, [a, b]: [f64; 2]) -> bool {
         self.clips.try_push(ThreadClip { along_m: [a.min(b), a.max(b)] })
     }

@@ -384,7 +384,7 @@ impl Suture {
                     Holder::Wall(i) => self.rod.place_of(self.scratch.walls[i].node),
                     holder => self.rod.place_at(self.along_m(holder)),
                 },
-                law: self.law(held.holder, held.before_n, spec),
+                law: self.law(held.holder),
                 stiffness_n_per_m: 1.0 / held.own_m_per_n,
                 place_m: held.free_m,
                 force_before_n: held.before_n,
@@ -392,16 +392,10 @@ impl Suture {
             self.scratch.ties.try_push(tie);
         }
         self.respond(spec.friction_coefficient);
-        for round in 0..ROUNDS {
-            let around = Surroundings {
-                ties: &self.scratch.ties,
-                bonds: &self.scratch.bonds,
-                gravity_m_per_s2,
-                dt_s: with.dt_s,
-            };
-            if round == 0 {
-                self.solver.start(&self.rod, &around);
-            }
+        self.solver.start(&self.rod, gravity_m_per_s2, with.dt_s);
+        for _ in 0..ROUNDS {
+            let around =
+                Surroundings { ties: &self.scratch.ties, bonds: &self.scratch.bonds, dt_s: with.dt_s };
             self.solver.settle(&mut self.rod, &around);
             self.slide(spec, with);
             self.answer(spec.friction_coefficient);
@@ -418,11 +412,10 @@ impl Suture {
         }
     }
 
-    fn law(&self, holder: Holder, force_n: DVec3, spec: &SutureSpec) -> TieLaw {
+    /// How a place is held; the limit of friction is found where the tissue answers.
+    fn law(&self, holder: Holder) -> TieLaw {
         let Holder::Wall(i) = holder else { return TieLaw::Held };
-        let normal = self.scratch.walls[i].normal;
-        let push_n = (-force_n.dot(normal)).max(0.0);
-        TieLaw::Wall { normal, most_friction_n: spec.friction_coefficient * push_n }
+        TieLaw::Wall { normal: self.scratch.walls[i].normal, most_friction_n: 0.0 }
     }
 
     /// After a round: the thread slides through what holds it where that pulls along it by more than friction bears.

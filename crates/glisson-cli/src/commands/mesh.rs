@@ -6,7 +6,6 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail, ensure};
 use glisson::image::LabelMap;
 use glisson::image::labels::{Parts, mask_volume_m3};
-use glisson::image::nifti::read_label_map;
 use glisson::mesh::files::{MeshFormat, extensions_of, write_mesh};
 use glisson::mesh::generate::{MAX_TETRAHEDRA, MIN_TETRAHEDRA, MeshParams, MeshPlan, MeshReport, WantedSize};
 use glisson::mesh::thin::ThinKind;
@@ -14,6 +13,8 @@ use glisson::surface::TriMesh;
 use glisson::surface::check::check_closed;
 use glisson::surface::extract::{SurfaceParams, surface_of_mask};
 use glisson::surface::files::{read_surface, surface_extensions, write_surface};
+
+use super::image_input::{is_image, read_with_notes};
 
 /// Number of tetrahedra when neither a number nor a size is given.
 const DEFAULT_TETRAHEDRA: usize = 6_300;
@@ -33,7 +34,8 @@ const DEFAULT_LABEL: &str = "liver";
   glisson mesh labels.nii.gz --label 5 --element-size-mm 8 --surface-out liver.stl -o liver.vtk
   glisson mesh liver.stl --tetrahedra 20000 -o liver.vtu")]
 pub(crate) struct Args {
-    /// Label map (.nii, .nii.gz) or closed surface (.stl, .obj, .ply, .vtk)
+    /// Label map (.nii, .nii.gz, .nrrd, .seg.nrrd, .mha, .mhd, .inr, .dcm or a folder of masks) or closed surface (.stl,
+    /// .obj, .ply, .vtk)
     input: PathBuf,
     /// Which label of a label map, by name or number [default: liver, or the only label]
     #[arg(long, value_name = "NAME_OR_NUMBER")]
@@ -71,8 +73,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let progress = indicatif::ProgressBar::new_spinner();
     progress.enable_steady_tick(Duration::from_millis(200));
     let stages = Stages { progress };
-    let source =
-        if is_label_map(&args.input) { of_label(args, &stages)? } else { of_surface(args, &stages)? };
+    let source = if is_image(&args.input) { of_label(args, &stages)? } else { of_surface(args, &stages)? };
     if let Some(path) = &args.surface_out {
         make_folder_of(path)?;
         write_surface(path, &source.surface)?;
@@ -167,16 +168,11 @@ impl Stages {
     }
 }
 
-fn is_label_map(path: &Path) -> bool {
-    let name = path.file_name().map(|n| n.to_string_lossy().to_lowercase()).unwrap_or_default();
-    name.ends_with(".nii") || name.ends_with(".nii.gz")
-}
-
 fn of_label(args: &Args, stages: &Stages) -> anyhow::Result<Source> {
     let in_input = || args.input.display().to_string();
     let map = stages.timed(
         "label map",
-        || read_label_map(&args.input),
+        || read_with_notes(&args.input).and_then(|image| image.label_map()),
         |map| {
             let ([x, y, z], spacing_mm) = (map.grid.dims, 1e3 * map.grid.spacing_m);
             format!(
@@ -229,7 +225,7 @@ fn wanted_label(args: &Args, map: &LabelMap) -> String {
 fn of_surface(args: &Args, stages: &Stages) -> anyhow::Result<Source> {
     if args.label.is_some() || args.without_parts || args.surface_triangles.is_some() {
         bail!(
-            "{} is no label map (.nii, .nii.gz): --label, --without-parts and --surface-triangles are for label maps",
+            "{} is no label map: --label, --without-parts and --surface-triangles are for label maps",
             args.input.display()
         );
     }

@@ -1,6 +1,8 @@
 //! The verbs of the program, one file each.
 
+mod image_input;
 mod phantom;
+mod import;
 mod segment;
 mod mesh;
 mod check;
@@ -28,6 +30,7 @@ pub(crate) struct CommandLine {
 #[derive(Debug, clap::Subcommand)]
 enum Command {
     Phantom(phantom::Args),
+    Import(import::Args),
     Segment(segment::Args),
     Mesh(mesh::Args),
     Check(check::Args),
@@ -48,6 +51,7 @@ enum Command {
 pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
     match &command_line.command {
         Command::Phantom(args) => phantom::run(args),
+        Command::Import(args) => import::run(args),
         Command::Segment(args) => segment::run(args),
         Command::Mesh(args) => mesh::run(args),
         Command::Check(args) => check::run(args),

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
 use glisson::files::write_atomically;
+use glisson::image::files::{write_label_map, write_volume};
 use glisson::image::labels::Parts;
-use glisson::image::nifti::{write_label_map, write_volume};
 use glisson::image::phantom::{PhantomParams, generate};
 use glisson::image::vessels::write_vessels;
 

@@ -3,12 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
+use glisson::image::files::write_label_map;
 use glisson::image::labels::{Parts, check_clear_of_border, dice, mask_volume_m3};
-use glisson::image::nifti::{read_label_map, read_volume, write_label_map};
 use glisson::image::segment::{SegmentParams, Segmentation, bare_band, segment};
 use glisson::image::{LabelMap, Volume, VoxelGrid};
 use glisson::math::DVec3;
 use serde_json::json;
+
+use super::image_input::read_with_notes;
 
 /// Find the liver in a CT volume.
 ///
@@ -22,9 +24,9 @@ use serde_json::json;
   glisson segment ct.nii.gz --seed-mm=-80,-10,20 -o out/liver.nii.gz
   glisson segment ct.nii.gz --seed-voxel 60,70,80 -o out/liver.nii.gz")]
 pub(crate) struct Args {
-    /// CT volume in Hounsfield units (.nii or .nii.gz)
+    /// CT volume in Hounsfield units (a DICOM folder, .nii, .nii.gz, .nrrd, .mha, .mhd or .inr)
     ct: PathBuf,
-    /// Label map to write (.nii or .nii.gz): 1 is the organ
+    /// Label map to write (.nii, .nii.gz, .nrrd, .seg.nrrd or .mha): 1 is the organ
     #[arg(short, long, default_value = "out/labels.nii.gz")]
     output: PathBuf,
     /// A point inside the organ: x,y,z in mm in the patient frame (LPS: +x left, +y posterior, +z superior)
@@ -51,7 +53,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let ct = read_volume(&args.ct)?;
+    let ct = read_with_notes(&args.ct)?.volume();
     let truth = args.truth.as_deref().map(|path| read_truth(args, path, &ct)).transpose()?;
     let params = SegmentParams { seed_m: seed_m(args, &ct.grid)?, ..SegmentParams::default() };
     let progress = indicatif::ProgressBar::new_spinner().with_message("segmenting");
@@ -60,7 +62,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     progress.finish_and_clear();
 
     let labels = found.mask.iter().map(|&inside| u16::from(inside)).collect();
-    let map = LabelMap { grid: ct.grid.clone(), labels, names: vec![(1, args.name.clone())] };
+    let map =
+        LabelMap { grid: ct.grid.clone(), labels, names: vec![(1, args.name.clone())], colours: Vec::new() };
     if let Some(folder) = args.output.parent() {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot make folder {}", folder.display()))?;
@@ -122,7 +125,7 @@ fn report(args: &Args, ct: &Volume<f32>, found: &Segmentation, overlap: Option<&
 }
 
 fn read_truth(args: &Args, path: &Path, ct: &Volume<f32>) -> anyhow::Result<Vec<bool>> {
-    let map = read_label_map(path)?;
+    let map = read_with_notes(path)?.label_map()?;
     ensure!(
         map.grid.dims == ct.grid.dims,
         "{} has {:?} voxels, {} has {:?}: the two must be on the same grid",

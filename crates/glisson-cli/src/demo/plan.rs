@@ -5,7 +5,7 @@
 use super::scenery::Files;
 use super::specimen::{Tumour, holds};
 use anyhow::Context;
-use glisson::image::nifti::read_label_map;
+use glisson::image::files::read_label_map;
 use glisson::math::{Aabb, DVec3};
 use glisson::mesh::edit::EditableMesh;
 use glisson::mesh::refine::refine_where;

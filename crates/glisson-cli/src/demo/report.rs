@@ -3,8 +3,8 @@
 use super::operation::Palpation;
 use super::scenery::Files;
 use crate::text_file::write_text;
+use glisson::image::files::{read_label_map, read_volume};
 use glisson::image::labels::{Parts, dice, mask_volume_m3};
-use glisson::image::nifti::{read_label_map, read_volume};
 use glisson::mesh::files::read_mesh;
 use glisson::mesh::quality::MeshQuality;
 use glisson_view::picture::{SlicePlane, SliceSpec, slice_picture};

@@ -1,6 +1,6 @@
 //! Volumes and label maps in the patient frame.
 
-pub mod nifti;
+pub mod files;
 pub mod labels;
 pub mod filter;
 pub mod phantom;
@@ -88,4 +88,6 @@ pub struct LabelMap {
     pub labels: Vec<u16>,
     /// Names of the labels that have one, ascending.
     pub names: Vec<(u16, String)>,
+    /// Colours of the labels that have one: red, green, blue from 0 to 1, ascending.
+    pub colours: Vec<(u16, [f32; 3])>,
 }

@@ -1,5 +1,7 @@
 //! All integration tests of the crate in one binary: it links once.
 
+mod image_files;
+mod image_nifti;
 mod images;
 mod mesh_edit_kinds;
 mod mesh_edit_sequences;
@@ -9,5 +11,6 @@ mod mesh_quality;
 mod mesh_repair;
 mod meshing;
 mod sample_edits;
+mod sample_images;
 mod surface_files;
 mod surfaces;

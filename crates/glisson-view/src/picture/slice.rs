@@ -219,7 +219,7 @@ mod tests {
         let grid = grid([40, 40, 3], DVec3::splat(1e-3), axes);
         let values: Vec<f64> = (0..grid.n_voxels()).map(|v| grid.voxel(v)[0] as f64).collect();
         let labels = (0..grid.n_voxels()).map(|v| u16::from(grid.voxel(v)[1] >= 30)).collect();
-        let map = LabelMap { grid: grid.clone(), labels, names: Vec::new() };
+        let map = LabelMap { grid: grid.clone(), labels, names: Vec::new(), colours: Vec::new() };
         let spec = SliceSpec {
             plane: SlicePlane::Axial,
             through_m: grid.bounds_m().center_m(),

@@ -216,7 +216,7 @@ pub fn generate(params: &PhantomParams) -> Phantom {
     let names = Tissue::ALL.map(|t| (t.label(), t.name().to_string())).to_vec();
     Phantom {
         ct: Volume { grid: grid.clone(), values },
-        labels: LabelMap { grid, labels, names },
+        labels: LabelMap { grid, labels, names, colours: Vec::new() },
         vessels: anatomy.vessels(),
     }
 }

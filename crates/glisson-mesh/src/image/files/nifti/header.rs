@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use super::ImageError;
+use super::super::error::{HeaderPlace, ImageError};
+use super::super::placement::{TURN_ABOUT_Z, right_angled};
+use crate::binary::{ByteOrder, NumberType};
 use crate::image::VoxelGrid;
 use crate::math::{DMat3, DVec3};
 
@@ -10,44 +12,34 @@ use crate::math::{DMat3, DVec3};
 pub(super) const N_HEADER_BYTES: usize = 348;
 /// First byte after the header and the four bytes that say whether extensions follow.
 pub(super) const N_BYTES_BEFORE_EXTENSIONS: usize = 352;
-/// Largest cosine between two voxel axes that still counts as a right angle: 0.15 mm over 300 mm.
-const MAX_SHEAR: f64 = 5e-4;
 /// Largest relative difference of the voxel sizes in sform and pixdim.
 const MAX_SPACING_DIFFERENCE: f64 = 0.01;
 
-/// Number type of the voxels in a file, with its NIfTI code.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum VoxelType {
-    U8 = 2,
-    I16 = 4,
-    I32 = 8,
-    F32 = 16,
-    F64 = 64,
-    I8 = 256,
-    U16 = 512,
-    U32 = 768,
-}
+/// Number types of voxels, with their NIfTI codes.
+const VOXEL_TYPES: [(i16, NumberType); 10] = [
+    (2, NumberType::U8),
+    (4, NumberType::I16),
+    (8, NumberType::I32),
+    (16, NumberType::F32),
+    (64, NumberType::F64),
+    (256, NumberType::I8),
+    (512, NumberType::U16),
+    (768, NumberType::U32),
+    (1024, NumberType::I64),
+    (1280, NumberType::U64),
+];
 
-impl VoxelType {
-    const ALL: [Self; 8] =
-        [Self::U8, Self::I16, Self::I32, Self::F32, Self::F64, Self::I8, Self::U16, Self::U32];
-
-    pub(super) fn n_bytes(self) -> usize {
-        match self {
-            Self::U8 | Self::I8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::F32 | Self::U32 => 4,
-            Self::F64 => 8,
-        }
-    }
+/// The code of a number type.
+pub(super) fn code_of(voxel_type: NumberType) -> i16 {
+    VOXEL_TYPES.iter().find(|(_, kind)| *kind == voxel_type).expect("every number type has its code").0
 }
 
 /// What the header says, checked.
 #[derive(Debug)]
 pub(super) struct Header {
-    pub(super) big_endian: bool,
+    pub(super) order: ByteOrder,
     pub(super) grid: VoxelGrid,
-    pub(super) voxel_type: VoxelType,
+    pub(super) voxel_type: NumberType,
     /// First byte of the voxels.
     pub(super) data_start: usize,
     /// Value = stored number * slope + intercept.
@@ -100,8 +92,8 @@ impl RawHeader<'_> {
     ) -> ImageError {
         ImageError::Header {
             file: self.file.to_path_buf(),
-            field,
-            byte,
+            field: field.into(),
+            place: HeaderPlace::Byte(byte),
             found: found.to_string(),
             allowed: allowed.into(),
         }
@@ -129,11 +121,11 @@ impl RawHeader<'_> {
         Ok(dims)
     }
 
-    fn voxel_type(&self) -> Result<VoxelType, ImageError> {
+    fn voxel_type(&self) -> Result<NumberType, ImageError> {
         let code = self.i16(70);
-        let voxel_type = VoxelType::ALL.into_iter().find(|t| *t as i16 == code).ok_or_else(|| {
-            let allowed =
-                "2 uint8, 4 int16, 8 int32, 16 float32, 64 float64, 256 int8, 512 uint16, 768 uint32";
+        let voxel_type = VOXEL_TYPES.iter().find(|(c, _)| *c == code).map(|(_, kind)| *kind);
+        let voxel_type = voxel_type.ok_or_else(|| {
+            let allowed = "2 uint8, 4 int16, 8 int32, 16 float32, 64 float64, 256 int8, 512 uint16, 768 uint32, 1024 int64, 1280 uint64";
             self.wrong("datatype", 70, code, allowed)
         })?;
         let n_bits = 8 * voxel_type.n_bytes();
@@ -191,14 +183,17 @@ impl RawHeader<'_> {
             let scale = DMat3::from_diagonal(spacing * DVec3::new(1.0, 1.0, handedness));
             return Ok((rotation * scale, offset));
         }
-        Err(ImageError::NoOrientation { file: self.file.to_path_buf() })
+        Err(ImageError::NoOrientation {
+            file: self.file.to_path_buf(),
+            found: "sform_code and qform_code are both 0".into(),
+            remedy: "export it again with its orientation, or set one (e.g. with nibabel: img.set_sform(affine, code=1))",
+        })
     }
 
     fn grid(&self, dims: [usize; 3]) -> Result<VoxelGrid, ImageError> {
         let (unit_m, pixdim) = (self.metres_a_unit()?, self.pixdim()?);
         let (matrix, offset) = self.affine(pixdim)?;
         let columns = [matrix.x_axis, matrix.y_axis, matrix.z_axis];
-        let mut axes = [DVec3::ZERO; 3];
         for axis in 0..3 {
             let length = columns[axis].length();
             if (length / pixdim[axis] - 1.0).abs() > MAX_SPACING_DIFFERENCE {
@@ -206,27 +201,9 @@ impl RawHeader<'_> {
                 let name = ["pixdim[1]", "pixdim[2]", "pixdim[3]"][axis];
                 return Err(self.wrong(name, 80 + 4 * axis, pixdim[axis], allowed));
             }
-            axes[axis] = columns[axis] / length;
         }
-        for [a, b] in [[0, 1], [0, 2], [1, 2]] {
-            let cosine = axes[a].dot(axes[b]);
-            if cosine.abs() > MAX_SHEAR {
-                let angle_deg = libm::acos(cosine.clamp(-1.0, 1.0)).to_degrees();
-                return Err(ImageError::Sheared { file: self.file.to_path_buf(), axes: [a, b], angle_deg });
-            }
-        }
-        // What is left of the shear is rounding: make the axes exactly orthonormal.
-        let x = axes[0];
-        let y = (axes[1] - x * x.dot(axes[1])).normalize();
-        let z = x.cross(y);
-        let z = if z.dot(axes[2]) < 0.0 { -z } else { z };
-        let lps_from_ras = DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0));
-        Ok(VoxelGrid {
-            dims,
-            spacing_m: pixdim * unit_m,
-            origin_m: lps_from_ras * offset * unit_m,
-            axes: lps_from_ras * DMat3::from_cols(x, y, z),
-        })
+        let steps = columns.map(|column| TURN_ABOUT_Z * column);
+        right_angled(self.file, dims, steps, pixdim * unit_m, TURN_ABOUT_Z * offset * unit_m)
     }
 }
 
@@ -272,7 +249,7 @@ pub(super) fn parse_header(file: &Path, bytes: &[u8]) -> Result<Header, ImageErr
         return Err(raw.wrong("scl_slope, scl_inter", 112, found, "finite numbers"));
     }
     Ok(Header {
-        big_endian: raw.big_endian,
+        order: if raw.big_endian { ByteOrder::Big } else { ByteOrder::Little },
         grid: raw.grid(dims)?,
         voxel_type,
         data_start: data_start as usize,

@@ -298,6 +298,16 @@ fn gmsh_2() -> String {
     )
 }
 
+fn gmsh_1() -> String {
+    let nodes: String = (0..5)
+        .map(|n| format!("{} {} {} {}\n", 10 * n + 7, POINTS_MM[n][0], POINTS_MM[n][1], POINTS_MM[n][2]))
+        .collect();
+    format!(
+        "$NOD\n5\n{nodes}$ENDNOD\n$NOE\nanything\n$ENDNOE\n$ELM\n4\n1 15 0 1 1 7\n2 2 0 1 3 7 17 27\n\
+         3 4 0 1 4 7 17 27 37\n4 4 0 1 4 17 27 37 47\n$ENDELM\n"
+    )
+}
+
 fn gmsh_4() -> String {
     let at = |n: usize| format!("{} {} {}\n", POINTS_MM[n][0], POINTS_MM[n][1], POINTS_MM[n][2]);
     format!(
@@ -390,6 +400,7 @@ fn samples() -> Vec<(Kind, Vec<u8>)> {
         (Kind::Vtk, vtk_5_ascii().into_bytes()),
         (Kind::Vtk, vtk_binary(false)),
         (Kind::Vtk, vtk_binary(true)),
+        (Kind::Gmsh, gmsh_1().into_bytes()),
         (Kind::Gmsh, gmsh_2().into_bytes()),
         (Kind::Gmsh, gmsh_4().into_bytes()),
         (Kind::Gmsh, gmsh_binary(GmshVersion::V2_2)),
@@ -603,6 +614,22 @@ fn mistakes_of_lists() -> Vec<(Kind, String, &'static str)> {
         ),
         (Kind::Gmsh, gmsh_2().replace("\n17 10", "\n7 10"), "node number 7 twice"),
         (Kind::Gmsh, gmsh_2().replace("4 4 2 0 1 17", "4 5 2 0 1 17"), "element 4: found a hexahedron"),
+        (
+            Kind::Gmsh,
+            gmsh_1().replace("4 7 17 27 37", "10 7 17 27 37"),
+            "element 3: found 10 nodes, expected 4, as its type has",
+        ),
+        (
+            Kind::Gmsh,
+            gmsh_1().replace("27 37 47", "27 37 48"),
+            "element 4: found node 48, expected one of the nodes under $NOD",
+        ),
+        (Kind::Gmsh, gmsh_1().replace("$ENDNOD", "$EndNOD"), "found the end of the file, expected `$ENDNOD`"),
+        (
+            Kind::Gmsh,
+            gmsh_1().replace("$ELM", "$Elements"),
+            "line 12: found `$Elements`, expected $MeshFormat, $Nodes and $Elements once each, in this order",
+        ),
         (
             Kind::TetGen,
             tetgen(1).replace("\0 2 4 1", "\0 2 10 1"),

@@ -4,7 +4,7 @@
 //! |---|---|---|---|
 //! | VTK legacy | `.vtk` | ASCII and binary, 2.0 to 5.1 | ASCII 3.0 |
 //! | VTK XML | `.vtu` | ASCII, base64, appended raw or base64, zlib | positions ASCII, the rest base64 + zlib |
-//! | Gmsh | `.msh` | 2.x and 4.1, ASCII and binary | ASCII 2.2 (and 4.1) |
+//! | Gmsh | `.msh` | 2.x and 4.1, ASCII and binary; 1 | ASCII 2.2 (and 4.1) |
 //! | TetGen | `.node` + `.ele` | numbered from 0 or 1 | |
 //! | plain list | `.tet`, `.txt` | words separated by blanks, see `plain_list` | |
 //!
@@ -20,6 +20,7 @@ mod base64;
 mod cells;
 mod format;
 mod gmsh;
+mod numbered;
 mod plain_list;
 mod tetgen;
 mod text;

@@ -4,6 +4,7 @@ mod images;
 mod mesh_edit_kinds;
 mod mesh_edit_sequences;
 mod mesh_edits;
+mod mesh_file_samples;
 mod mesh_files;
 mod mesh_quality;
 mod mesh_repair;

@@ -6,6 +6,8 @@
 //! | VTK XML | `.vtu` | ASCII, base64, appended raw or base64, zlib | positions ASCII, the rest base64 + zlib |
 //! | Gmsh | `.msh` | 2.x and 4.1, ASCII and binary; 1 | ASCII 2.2 (and 4.1) |
 //! | TetGen | `.node` + `.ele` | numbered from 0 or 1 | |
+//! | FEBio | `.feb` | 1.x to 4.0 (`Geometry` or `Mesh`) | |
+//! | Abaqus | `.inp` | flat, or one part with one instance that is not moved | |
 //! | plain list | `.tet`, `.txt` | words separated by blanks, see `plain_list` | |
 //!
 //! No format says its length unit: [`ImportPolicy::unit`] does, millimetres unless told otherwise, and
@@ -16,8 +18,10 @@
 //!
 //! Counts in a header are checked against the bytes that are there before anything is allocated.
 
+mod abaqus;
 mod base64;
 mod cells;
+mod febio;
 mod format;
 mod gmsh;
 mod numbered;
@@ -88,8 +92,15 @@ pub enum MeshFileError {
 }
 
 /// Every format, in the order of messages: one line a format, whose description is in its own file (docs/extending.md).
-pub const FORMATS: &[MeshFormat] =
-    &[vtk_legacy::FORMAT, vtu::FORMAT, gmsh::FORMAT, tetgen::FORMAT, plain_list::FORMAT];
+pub const FORMATS: &[MeshFormat] = &[
+    vtk_legacy::FORMAT,
+    vtu::FORMAT,
+    gmsh::FORMAT,
+    tetgen::FORMAT,
+    febio::FORMAT,
+    abaqus::FORMAT,
+    plain_list::FORMAT,
+];
 
 /// The format that an extension names, in lower case and without its dot.
 pub fn format_of_extension(extension: &str) -> Option<&'static MeshFormat> {

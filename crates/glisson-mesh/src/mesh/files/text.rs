@@ -3,6 +3,8 @@
 use std::borrow::Cow;
 use std::fmt;
 
+use roxmltree::Document;
+
 use crate::mesh::faults::LengthUnit;
 
 /// Where in a file something is.
@@ -59,6 +61,15 @@ pub(super) fn quoted(bytes: &[u8]) -> String {
 /// Place of `needle` in `bytes` at or after `from`.
 pub(super) fn find(bytes: &[u8], needle: &[u8], from: usize) -> Option<usize> {
     bytes.get(from..)?.windows(needle.len()).position(|w| w == needle).map(|at| from + at)
+}
+
+/// `xml` as a document.
+pub(super) fn parse_xml(xml: &str) -> Result<Document<'_>, FormatError> {
+    Document::parse(xml).map_err(|error| FormatError {
+        place: Place::Line(error.pos().row as usize),
+        found: error.to_string(),
+        expected: "an XML document".into(),
+    })
 }
 
 /// A cursor over the bytes of a file.
@@ -196,7 +207,7 @@ impl<'a> Scanner<'a> {
     pub(super) fn length_m(&mut self, unit: LengthUnit, expected: &str) -> Result<f64, FormatError> {
         let word = self.expect_word(expected)?;
         let mut digits = std::mem::take(&mut self.digits);
-        let value = parse_decimal(word, unit.exponent(), &mut digits);
+        let value = parse_length_m(word, unit, &mut digits);
         self.digits = digits;
         value.ok_or_else(|| self.error(quoted(word), format!("{expected} (a finite number)")))
     }
@@ -222,8 +233,13 @@ impl<'a> Scanner<'a> {
     }
 }
 
+/// The length [m] that `word` is in `unit`, if it is a finite number; `digits` is working space.
+pub(super) fn parse_length_m(word: &[u8], unit: LengthUnit, digits: &mut String) -> Option<f64> {
+    parse_decimal(word, unit.exponent(), digits)
+}
+
 /// The finite number nearest to the decimal `word` times ten to `exponent`; none if it is no such number.
-pub(super) fn parse_decimal(word: &[u8], exponent: i32, digits: &mut String) -> Option<f64> {
+fn parse_decimal(word: &[u8], exponent: i32, digits: &mut String) -> Option<f64> {
     let text = std::str::from_utf8(word).ok()?;
     let value: f64 = if exponent == 0 {
         text.parse().ok()?

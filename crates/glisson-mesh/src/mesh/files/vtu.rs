@@ -8,12 +8,12 @@
 
 use std::io::Read;
 
-use roxmltree::{Document, Node};
+use roxmltree::Node;
 
 use super::base64::Base64Reader;
 use super::cells::{Frame, RawMesh, VtkCells};
 use super::format::{MeshFormat, file};
-use super::text::{FormatError, Place, Scanner, find, quoted};
+use super::text::{FormatError, Place, Scanner, find, parse_xml, quoted};
 use super::vtu_write;
 use crate::binary::{ByteOrder, NumberType};
 use crate::math::DVec3;
@@ -75,11 +75,7 @@ pub(super) const FORMAT: MeshFormat = MeshFormat {
 /// The mesh in the bytes of a file.
 fn read(bytes: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
     let (xml, appended) = split_appended(bytes)?;
-    let document = Document::parse(&xml).map_err(|error| FormatError {
-        place: Place::Line(error.pos().row as usize),
-        found: error.to_string(),
-        expected: "an XML document".into(),
-    })?;
+    let document = parse_xml(&xml)?;
     let root = document.root_element();
     let is_grid = root.has_tag_name("VTKFile") && root.attribute("type") == Some("UnstructuredGrid");
     if !is_grid {

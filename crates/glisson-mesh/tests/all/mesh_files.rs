@@ -61,6 +61,12 @@ fn skipped_cells_are_counted_and_the_unit_is_asked_for() {
     assert_eq!(mesh.positions_m[4], DVec3::splat(10.0));
     let policy = ImportPolicy { unit: LengthUnit::Centimetre, ..ImportPolicy::default() };
     assert_eq!(read_as(Kind::Vtk, text.as_bytes(), &policy).unwrap().positions_m[4], DVec3::splat(0.1));
+    // Text and binary alike.
+    let policy = ImportPolicy { unit: LengthUnit::Inch, ..ImportPolicy::default() };
+    for (kind, bytes) in samples() {
+        let mesh = read_as(kind, &bytes, &policy).unwrap();
+        assert_eq!(mesh.positions_m[4], DVec3::splat(0.254), "{kind:?}");
+    }
 }
 
 #[test]

@@ -9,9 +9,9 @@
 use super::cells::{CellKind, Frame, RawMesh, refused_volume};
 use super::format::{MeshFormat, file};
 use super::numbered::NumberedNodes;
-use super::text::{FormatError, Place, parse_length_m, quoted};
 use crate::math::DVec3;
-use crate::mesh::faults::LengthUnit;
+use crate::scan::{FormatError, Place, parse_length_m, quoted};
+use crate::units::LengthUnit;
 
 /// The format's row of the table.
 pub(super) const FORMAT: MeshFormat = MeshFormat {

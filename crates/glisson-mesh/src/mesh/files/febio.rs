@@ -12,9 +12,9 @@ use roxmltree::{Document, Node};
 use super::cells::{CellKind, Frame, RawMesh, refused_volume};
 use super::format::{MeshFormat, file};
 use super::numbered::NumberedNodes;
-use super::text::{FormatError, Place, find, parse_length_m, parse_xml, quoted};
 use crate::math::DVec3;
-use crate::mesh::faults::LengthUnit;
+use crate::scan::{FormatError, Place, find, parse_length_m, parse_xml, quoted};
+use crate::units::LengthUnit;
 
 /// The format's row of the table.
 pub(super) const FORMAT: MeshFormat = MeshFormat {

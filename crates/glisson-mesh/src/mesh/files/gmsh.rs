@@ -10,11 +10,11 @@ use super::GmshVersion;
 use super::cells::{CellKind, Frame, RawMesh, gmsh_element_kind, refused_volume};
 use super::format::{MeshFormat, file};
 use super::numbered::NumberedNodes;
-use super::text::{FormatError, Scanner, millimetres, quoted};
 use crate::binary::{ByteOrder, NumberType};
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
-use crate::mesh::faults::LengthUnit;
+use crate::scan::{FormatError, Scanner, millimetres, quoted};
+use crate::units::LengthUnit;
 
 struct GmshReader<'a> {
     scanner: Scanner<'a>,
@@ -191,7 +191,7 @@ impl GmshReader<'_> {
     fn coordinate(&mut self) -> Result<f64, FormatError> {
         let Some(order) = self.binary else { return self.scanner.length_m(self.unit, "a coordinate") };
         let bytes = self.scanner.take(8, "a coordinate")?;
-        let value = NumberType::F64.float(bytes, order) / self.unit.per_metre();
+        let value = self.unit.to_metres(NumberType::F64.float(bytes, order));
         if value.is_finite() {
             Ok(value)
         } else {

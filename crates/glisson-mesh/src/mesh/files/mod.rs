@@ -19,7 +19,6 @@
 //! Counts in a header are checked against the bytes that are there before anything is allocated.
 
 mod abaqus;
-mod base64;
 mod cells;
 mod febio;
 mod format;
@@ -27,13 +26,12 @@ mod gmsh;
 mod numbered;
 mod plain_list;
 mod tetgen;
-mod text;
 mod vtk_legacy;
 mod vtu;
 mod vtu_write;
 
+pub use crate::scan::{FormatError, Place};
 pub use format::MeshFormat;
-pub use text::{FormatError, Place};
 pub use vtu_write::{FieldPlace, FieldValues, VtuField};
 
 use std::fs;
@@ -41,11 +39,10 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use self::cells::{Frame, RawMesh};
-use crate::binary::{ByteOrder, NumberType};
 use crate::files::write_atomically;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
-use crate::mesh::faults::{ImportPolicy, ImportReport, LengthUnit, MeshError};
+use crate::mesh::faults::{ImportPolicy, ImportReport, MeshError};
 
 /// Why a mesh file was not read or written.
 #[derive(Debug, thiserror::Error)]
@@ -217,50 +214,4 @@ pub fn write_gmsh(path: &Path, mesh: &TetMesh, version: GmshVersion) -> Result<(
 
 fn written(path: &Path, result: io::Result<()>) -> Result<(), MeshFileError> {
     result.map_err(|source| MeshFileError::Io { path: path.to_owned(), source })
-}
-
-/// Positions [m] from binary coordinates, three a point.
-fn positions_from_bytes(
-    data: &[u8],
-    kind: NumberType,
-    order: ByteOrder,
-    unit: LengthUnit,
-) -> Result<Vec<DVec3>, FormatError> {
-    let size = kind.n_bytes();
-    let mut positions_m = Vec::with_capacity(data.len() / (3 * size));
-    for (p, point) in data.chunks_exact(3 * size).enumerate() {
-        let [x, y, z] =
-            [0, 1, 2].map(|i| kind.float(&point[i * size..(i + 1) * size], order) / unit.per_metre());
-        let position_m = DVec3::new(x, y, z);
-        if !position_m.is_finite() {
-            return Err(FormatError::named(
-                format!("point {p}"),
-                format!("({x}, {y}, {z})"),
-                "finite coordinates",
-            ));
-        }
-        positions_m.push(position_m);
-    }
-    Ok(positions_m)
-}
-
-/// Integers from binary data.
-fn integers_from_bytes(
-    data: &[u8],
-    kind: NumberType,
-    order: ByteOrder,
-    what: &str,
-) -> Result<Vec<i64>, FormatError> {
-    data.chunks_exact(kind.n_bytes())
-        .enumerate()
-        .map(|(i, bytes)| {
-            kind.integer(bytes, order).ok_or_else(|| {
-                FormatError::named(
-                    format!("entry {i} of {what}"),
-                    format!("{kind:?} data"),
-                    "integers below 2^63",
-                )
-            })
-        })
-        .collect()
 }

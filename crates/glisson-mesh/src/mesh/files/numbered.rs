@@ -1,6 +1,6 @@
 //! Nodes that a file calls by numbers of its own, and their places in the mesh.
 
-use super::text::FormatError;
+use crate::scan::FormatError;
 
 /// Number in the file and place of each node.
 #[derive(Default)]

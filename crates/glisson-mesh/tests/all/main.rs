@@ -11,4 +11,5 @@ mod mesh_repair;
 mod meshing;
 mod sample_edits;
 mod surface_files;
+mod surface_gltf;
 mod surfaces;

@@ -180,8 +180,16 @@ impl VtuArrays {
         if self.is_big_endian() { x.to_be_bytes() } else { x.to_le_bytes() }
     }
 
-    fn ints(&self, list: &[u32]) -> Vec<u8> {
-        list.iter().flat_map(|&x| self.bytes8(u64::from(x))).collect()
+    pub(crate) fn points(&mut self, points: &[[f64; 3]]) -> String {
+        let text = points.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
+        let data = points.as_flattened().iter().flat_map(|x| self.bytes8(x.to_bits())).collect();
+        self.array("type=\"Float64\" NumberOfComponents=\"3\"", text, data)
+    }
+
+    pub(crate) fn integers(&mut self, name: &str, list: &[u32]) -> String {
+        let text = list.iter().map(|x| format!("{x} ")).collect::<String>().trim().to_owned();
+        let data = list.iter().flat_map(|&x| self.bytes8(u64::from(x))).collect();
+        self.array(&format!("type=\"Int64\" Name=\"{name}\""), text, data)
     }
 
     fn header_and_payload(&self, data: Vec<u8>) -> (Vec<u8>, Vec<u8>) {
@@ -229,23 +237,29 @@ impl VtuArrays {
 }
 
 pub(crate) fn vtu(style: VtuStyle) -> Vec<u8> {
+    vtk_xml(style, "UnstructuredGrid", |arrays| {
+        let points = arrays.points(&POINTS_MM);
+        let connectivity = arrays.integers("connectivity", &[0, 1, 2, 3, 0, 1, 2, 1, 2, 3, 4]);
+        let offsets = arrays.integers("offsets", &[4, 7, 11]);
+        let types = arrays.array("type=\"UInt8\" Name=\"types\"", "10 5 10".into(), vec![10, 5, 10]);
+        format!(
+            "<Piece NumberOfPoints=\"5\" NumberOfCells=\"3\">\n<Points>{points}</Points>\n\
+             <Cells>{connectivity}{offsets}{types}</Cells>\n</Piece>\n"
+        )
+    })
+}
+
+/// A VTK XML file of a `kind` of data set with the pieces that `pieces` gives.
+pub(crate) fn vtk_xml(style: VtuStyle, kind: &str, pieces: impl FnOnce(&mut VtuArrays) -> String) -> Vec<u8> {
     use VtuStyle::*;
     let mut arrays = VtuArrays { style, appended: Vec::new() };
-    let floats: Vec<u8> = POINTS_MM.as_flattened().iter().flat_map(|x| arrays.bytes8(x.to_bits())).collect();
-    let points = arrays.array("type=\"Float64\" NumberOfComponents=\"3\"", points_text(), floats);
-    let corners = arrays.ints(&[0, 1, 2, 3, 0, 1, 2, 1, 2, 3, 4]);
-    let connectivity =
-        arrays.array("type=\"Int64\" Name=\"connectivity\"", "0 1 2 3 0 1 2 1 2 3 4".into(), corners);
-    let ends = arrays.ints(&[4, 7, 11]);
-    let offsets = arrays.array("type=\"Int64\" Name=\"offsets\"", "4 7 11".into(), ends);
-    let types = arrays.array("type=\"UInt8\" Name=\"types\"", "10 5 10".into(), vec![10, 5, 10]);
+    let pieces = pieces(&mut arrays);
     let order = if arrays.is_big_endian() { "BigEndian\" header_type=\"UInt64" } else { "LittleEndian" };
     let compressor = if arrays.is_zipped() { " compressor=\"vtkZLibDataCompressor\"" } else { "" };
     let appended = arrays.appended;
     let mut out = format!(
-        "<?xml version=\"1.0\"?>\n<VTKFile type=\"UnstructuredGrid\" version=\"0.1\" byte_order=\"{order}\"{compressor}>\n\
-         <UnstructuredGrid>\n<Piece NumberOfPoints=\"5\" NumberOfCells=\"3\">\n<Points>{points}</Points>\n\
-         <Cells>{connectivity}{offsets}{types}</Cells>\n</Piece>\n</UnstructuredGrid>\n"
+        "<?xml version=\"1.0\"?>\n<VTKFile type=\"{kind}\" version=\"0.1\" byte_order=\"{order}\"{compressor}>\n\
+         <{kind}>\n{pieces}</{kind}>\n"
     )
     .into_bytes();
     if !appended.is_empty() {

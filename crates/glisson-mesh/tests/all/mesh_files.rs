@@ -316,6 +316,8 @@ fn mistakes_of_models() -> Vec<(Kind, String, &'static str)> {
         febio("<node id=\"17\"", "<node id=\"7\"", "Nodes: found node 7 twice"),
         febio("<node id=\"17\"", "<node", "line 7: found id ``, expected a whole number in attribute id"),
         febio("27,37,47", "27,37", "line 24: found `17,27,37`, expected the numbers of four nodes"),
+        febio("27,37,47", "27,37,47,7", "line 24: found `17,27,37,47,7`, expected the numbers of four nodes"),
+        febio(" type=\"quad4\"", "", "line 21: found unknown element type `elem`"),
         febio("27,37,47", "27,37,48", "element 3: found node 48, expected one of the nodes under Nodes"),
         febio("quad4", "hex8", "element 2: found a hexahedron, expected 4-node tetrahedra"),
         febio(

@@ -29,7 +29,7 @@ pub(super) const FORMAT: MeshFormat = MeshFormat {
 const VERSIONS: [&str; 7] = ["1.0", "1.1", "1.2", "2.0", "2.5", "3.0", "4.0"];
 
 /// Beginnings of the names of element types; integration rules may follow (`TET4G1`).
-const ELEMENT_TYPES: [(&str, CellKind); 18] = [
+const ELEMENT_TYPES: [(&str, CellKind); 19] = [
     ("tet4", CellKind::Tetrahedron),
     ("ut4", CellKind::Tetrahedron),
     ("tet5", CellKind::Volume("5-node tetrahedron")),
@@ -48,6 +48,7 @@ const ELEMENT_TYPES: [(&str, CellKind); 18] = [
     ("q4", CellKind::Flat("quadrilateral")),
     ("truss", CellKind::Flat("line")),
     ("line", CellKind::Flat("line")),
+    ("beam", CellKind::Flat("line")),
 ];
 
 struct FebioReader<'a, 'x> {
@@ -178,8 +179,7 @@ impl FebioReader<'_, '_> {
 
     fn read_elements(&mut self, block: Node<'_, '_>) -> Result<(), FormatError> {
         for element in block.children().filter(Node::is_element) {
-            let tag = element.tag_name().name();
-            let name = if tag == "elem" { block.attribute("type").unwrap_or("") } else { tag };
+            let name = block.attribute("type").unwrap_or(element.tag_name().name());
             let lower = name.to_ascii_lowercase();
             let kind = ELEMENT_TYPES.iter().find(|(start, _)| lower.starts_with(start));
             match kind.map(|(_, kind)| *kind) {

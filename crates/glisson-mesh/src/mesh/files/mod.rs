@@ -10,7 +10,7 @@
 //! | Abaqus | `.inp` | flat, or one part with one instance that is not moved | |
 //! | plain list | `.tet`, `.txt` | words separated by blanks, see `plain_list` | |
 //!
-//! No format says its length unit: [`ImportPolicy::unit`] does, millimetres unless told otherwise, and
+//! The length unit is that of [`ImportPolicy::unit`], since formats do not say it: millimetres unless told otherwise, and
 //! millimetres are written. Axes are LPS unless a title or comment says `SPACE=RAS`; `SPACE=LPS` is written.
 //! Written positions are decimals of the metres with the point moved, and text is read in the same way, so
 //! that writing and reading gives the same bits. Binary files of others in millimetres are divided by 1000

@@ -1,5 +1,9 @@
 //! Numbers in the binary data of files.
 
+use crate::math::DVec3;
+use crate::scan::FormatError;
+use crate::units::LengthUnit;
+
 /// Kinds of number in binary data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum NumberType {
@@ -69,4 +73,50 @@ impl NumberType {
             Self::F32 | Self::F64 => None,
         }
     }
+}
+
+/// Positions [m] from binary coordinates, three a point.
+pub(crate) fn positions_from_bytes(
+    data: &[u8],
+    kind: NumberType,
+    order: ByteOrder,
+    unit: LengthUnit,
+) -> Result<Vec<DVec3>, FormatError> {
+    let size = kind.n_bytes();
+    let mut positions_m = Vec::with_capacity(data.len() / (3 * size));
+    for (p, point) in data.chunks_exact(3 * size).enumerate() {
+        let [x, y, z] =
+            [0, 1, 2].map(|i| unit.to_metres(kind.float(&point[i * size..(i + 1) * size], order)));
+        let position_m = DVec3::new(x, y, z);
+        if !position_m.is_finite() {
+            return Err(FormatError::named(
+                format!("point {p}"),
+                format!("({x}, {y}, {z})"),
+                "finite coordinates",
+            ));
+        }
+        positions_m.push(position_m);
+    }
+    Ok(positions_m)
+}
+
+/// Integers from binary data.
+pub(crate) fn integers_from_bytes(
+    data: &[u8],
+    kind: NumberType,
+    order: ByteOrder,
+    what: &str,
+) -> Result<Vec<i64>, FormatError> {
+    data.chunks_exact(kind.n_bytes())
+        .enumerate()
+        .map(|(i, bytes)| {
+            kind.integer(bytes, order).ok_or_else(|| {
+                FormatError::named(
+                    format!("entry {i} of {what}"),
+                    format!("{kind:?} data"),
+                    "integers below 2^63",
+                )
+            })
+        })
+        .collect()
 }

@@ -1,6 +1,10 @@
 //! Quantities with their units, read from text: `"5 kPa"`, `"2.5 mm"`, `"9.81 m/s2"`.
 //!
-//! A bare number is refused unless it is zero: guessing a unit is how simulations go wrong unseen.
+//! A bare number is refused unless it is zero: guessing a unit is how simulations go wrong unseen. Files of shapes hold
+//! bare numbers all the same: [`LengthUnit`] is what they are in, and [`likely_unit`] tells when that is improbable.
+
+use std::fmt;
+use std::str::FromStr;
 
 use crate::text::did_you_mean;
 
@@ -162,6 +166,110 @@ pub fn parse_quantity(text: &str, dimension: Dimension) -> Result<f64, UnitError
     }
 }
 
+/// Length unit of the numbers in a file: few formats say it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LengthUnit {
+    /// Clinical tools.
+    #[default]
+    Millimetre,
+    /// Older planning tools.
+    Centimetre,
+    /// Engineering tools.
+    Metre,
+    /// 25.4 mm: drawing programs.
+    Inch,
+}
+
+impl LengthUnit {
+    /// All units.
+    pub const ALL: [Self; 4] = [Self::Millimetre, Self::Centimetre, Self::Metre, Self::Inch];
+
+    /// The name: mm, cm, m or inch.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Millimetre => "mm",
+            Self::Centimetre => "cm",
+            Self::Metre => "m",
+            Self::Inch => "inch",
+        }
+    }
+
+    /// A whole number and a power of ten, whose product is the unit in metres.
+    pub fn decimal(self) -> (f64, i32) {
+        match self {
+            Self::Millimetre => (1.0, -3),
+            Self::Centimetre => (1.0, -2),
+            Self::Metre => (1.0, 0),
+            Self::Inch => (254.0, -4),
+        }
+    }
+
+    /// Size of the unit [m].
+    pub fn size_m(self) -> f64 {
+        match self {
+            Self::Millimetre => 1e-3,
+            Self::Centimetre => 1e-2,
+            Self::Metre => 1.0,
+            Self::Inch => 0.0254,
+        }
+    }
+
+    /// Length [m] of so many of the unit. Powers of ten are exact numbers to divide by: that rounds once, and so the
+    /// result is nearer than that of multiplying with [`LengthUnit::size_m`].
+    pub fn to_metres(self, number: f64) -> f64 {
+        match self {
+            Self::Millimetre => number / 1e3,
+            Self::Centimetre => number / 1e2,
+            Self::Metre => number,
+            Self::Inch => number * 254.0 / 1e4,
+        }
+    }
+}
+
+impl fmt::Display for LengthUnit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for LengthUnit {
+    type Err = UnitError;
+
+    fn from_str(text: &str) -> Result<Self, UnitError> {
+        let names = Self::ALL.map(Self::name);
+        Self::ALL.into_iter().find(|unit| unit.name() == text).ok_or_else(|| UnitError::UnknownUnit {
+            unit: text.to_string(),
+            dimension: Dimension::Length.name(),
+            allowed: names.join(", "),
+            suggestion: did_you_mean(text, &names),
+        })
+    }
+}
+
+/// Volumes that an organ may have [m3]: 1 ml is less than an adrenal gland, 20 l more than any organ that has been
+/// reported. A choice, wide enough that an organ read in its right unit is never suspicious.
+const ORGAN_VOLUMES_M3: std::ops::RangeInclusive<f64> = 1e-6..=20e-3;
+
+/// The volume nearest to which a guess has to come [m3], by ratio: a litre, which is between a kidney and a liver.
+const USUAL_VOLUME_M3: f64 = 1e-3;
+
+/// The unit that a file probably is in, if it gave an organ of `volume_m3` when it was read in `unit`: none if that
+/// volume is one that an organ can have (1 ml to 20 l), or if no unit makes it one. Of several the one that comes nearest
+/// to a litre by ratio. The volume of a surface that is inside out is below zero, which does not matter.
+pub fn likely_unit(volume_m3: f64, unit: LengthUnit) -> Option<LengthUnit> {
+    let volume_m3 = volume_m3.abs();
+    if ORGAN_VOLUMES_M3.contains(&volume_m3) {
+        return None;
+    }
+    let off = |volume_m3: f64| (volume_m3 / USUAL_VOLUME_M3).ln().abs();
+    LengthUnit::ALL
+        .into_iter()
+        .map(|other| (volume_m3 * (other.size_m() / unit.size_m()).powi(3), other))
+        .filter(|(volume_m3, _)| ORGAN_VOLUMES_M3.contains(volume_m3))
+        .min_by(|(a, _), (b, _)| off(*a).total_cmp(&off(*b)))
+        .map(|(_, other)| other)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -193,6 +301,43 @@ mod tests {
         assert!(message("5 mm", Dimension::Pressure).contains("not a unit of pressure"));
         assert!(message("soft", Dimension::Pressure).contains("does not start with a number"));
         assert!(message("1e999 m", Dimension::Length).contains("not a finite number"));
+    }
+
+    #[test]
+    fn length_units_have_names_and_sizes() {
+        for unit in LengthUnit::ALL {
+            assert_eq!(unit.to_string().parse(), Ok(unit));
+            let (factor, exponent) = unit.decimal();
+            assert!((factor * 10f64.powi(exponent) - unit.size_m()).abs() < 1e-17);
+            assert!((unit.to_metres(3.0) - 3.0 * unit.size_m()).abs() < 1e-15);
+        }
+        assert_eq!(LengthUnit::default(), LengthUnit::Millimetre);
+        let message = "Inch".parse::<LengthUnit>().unwrap_err().to_string();
+        assert!(message.contains("(allowed: mm, cm, m, inch); did you mean \"inch\"?"), "{message}");
+    }
+
+    #[test]
+    fn an_organ_of_an_impossible_volume_has_a_likely_unit() {
+        use LengthUnit::{Centimetre, Inch, Metre, Millimetre};
+        // A liver of 0.9 l, in a file of one unit read in another.
+        for (file, read, expected) in [
+            (Millimetre, Millimetre, None),
+            (Metre, Millimetre, Some(Metre)),
+            (Centimetre, Millimetre, Some(Centimetre)),
+            (Inch, Millimetre, Some(Inch)),
+            (Millimetre, Metre, Some(Millimetre)),
+            (Inch, Metre, Some(Inch)),
+        ] {
+            let volume_m3 = 0.9e-3 * (read.size_m() / file.size_m()).powi(3);
+            assert_eq!(likely_unit(volume_m3, read), expected, "{file} read in {read}: {volume_m3} m3");
+        }
+        // Inches and centimetres both fit: the one nearer to a litre.
+        assert_eq!(likely_unit(50e-9, Millimetre), Some(Inch));
+        assert_eq!(likely_unit(-0.5e-6, Millimetre), Some(Centimetre));
+        for nonsense in [0.0, f64::NAN, f64::INFINITY, 1e-30, 1e30] {
+            assert_eq!(likely_unit(nonsense, Millimetre), None);
+        }
+        assert_eq!(likely_unit(-1e-3, Millimetre), None);
     }
 
     proptest! {

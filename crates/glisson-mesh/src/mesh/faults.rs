@@ -7,6 +7,8 @@ use crate::mesh::topology::TET_EDGES;
 use crate::mesh::topology::build::{sorted_face, sorted_faces};
 use crate::mesh::{NodeId, TetId, TetMesh};
 
+pub use crate::units::LengthUnit;
+
 /// A tetrahedron counts as flat below this volume over the cube of its longest edge (0.118 for a regular
 /// one). A hundred times above what rounding leaves of a flat one whose edges are a thousandth of its
 /// distance from the origin.
@@ -319,38 +321,6 @@ pub enum LooseNodes {
     Keep,
     /// They go, and the others are numbered anew.
     Drop,
-}
-
-/// Length unit of the numbers in a mesh file; no format says it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum LengthUnit {
-    /// Clinical tools.
-    #[default]
-    Millimetre,
-    /// Older planning tools.
-    Centimetre,
-    /// Engineering tools.
-    Metre,
-}
-
-impl LengthUnit {
-    /// Power of ten of the unit in metres.
-    pub fn exponent(self) -> i32 {
-        match self {
-            Self::Millimetre => -3,
-            Self::Centimetre => -2,
-            Self::Metre => 0,
-        }
-    }
-
-    /// How many of the unit make a metre. Exact, so that dividing by it rounds once.
-    pub fn per_metre(self) -> f64 {
-        match self {
-            Self::Millimetre => 1e3,
-            Self::Centimetre => 1e2,
-            Self::Metre => 1.0,
-        }
-    }
 }
 
 /// What was found and done at import.

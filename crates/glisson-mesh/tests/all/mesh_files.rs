@@ -15,48 +15,10 @@ use glisson_mesh::mesh::topology::Topology;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use proptest::prelude::*;
 
-/// Corners of a 10 mm cube, without three: two tetrahedra with a common face.
-const POINTS_MM: [[f64; 3]; 5] =
-    [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], [0.0, 0.0, 10.0], [10.0, 10.0, 10.0]];
-const TETS: [[u32; 4]; 2] = [[0, 1, 2, 3], [1, 2, 3, 4]];
-
-fn two_tets() -> TetMesh {
-    TetMesh {
-        positions_m: POINTS_MM.iter().map(|p| DVec3::from_array(*p) / 1000.0).collect(),
-        tetrahedra: TETS.iter().map(|t| t.map(NodeId)).collect(),
-        ..TetMesh::default()
-    }
-}
-
-fn points_text() -> String {
-    POINTS_MM.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect()
-}
-
-/// What a sample is; the bytes are kept beside it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Kind {
-    Vtk,
-    Vtu,
-    Gmsh,
-    Plain,
-    /// `.node`, then a zero byte, then `.ele`.
-    TetGen,
-}
-
-fn read_as(kind: Kind, bytes: &[u8], policy: &ImportPolicy) -> Result<TetMesh, MeshFileError> {
-    let extension = match kind {
-        Kind::Vtk => "vtk",
-        Kind::Vtu => "vtu",
-        Kind::Gmsh => "msh",
-        Kind::Plain => "tet",
-        Kind::TetGen => "node",
-    };
-    let format = format_of_extension(extension).unwrap();
-    let at = bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len());
-    let pair = [&bytes[..at], bytes.get(at + 1..).unwrap_or_default()];
-    let files: &[&[u8]] = if kind == Kind::TetGen { &pair } else { &[bytes] };
-    mesh_from_bytes(format, files, policy, "sample").map(|(mesh, _)| mesh)
-}
+use crate::mesh_file_samples::{
+    Kind, VtuStyle, abaqus_flat, abaqus_part, base64, febio_1, febio_4, gmsh_1, gmsh_2, plain, read_as,
+    samples, tetgen, two_tets, vtk_5_ascii, vtk_ascii, vtu,
+};
 
 /// Every row has extensions of its own, is read from empty files without a panic, and is a kind of [`Kind`].
 #[test]
@@ -70,7 +32,7 @@ fn the_table_of_formats_is_sound() {
         }
         assert!(mesh_from_bytes(format, &[], &ImportPolicy::default(), "x").is_err(), "{}", format.name);
     }
-    assert_eq!(FORMATS.len(), 5, "a new format has its flavours in `samples`");
+    assert_eq!(FORMATS.len(), 7, "a new format has its flavours in `samples`");
 }
 
 fn vtk_format() -> &'static MeshFormat {
@@ -79,328 +41,6 @@ fn vtk_format() -> &'static MeshFormat {
 
 fn error_of(kind: Kind, text: &str) -> String {
     read_as(kind, text.as_bytes(), &ImportPolicy::default()).unwrap_err().to_string()
-}
-
-fn base64(bytes: &[u8]) -> String {
-    const DIGITS: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut text = String::new();
-    for group in bytes.chunks(3) {
-        let bits = group.iter().fold(0u32, |b, &x| b << 8 | u32::from(x)) << (8 * (3 - group.len()));
-        for i in 0..4 {
-            text.push(if i <= group.len() {
-                DIGITS[(bits >> (18 - 6 * i) & 63) as usize].into()
-            } else {
-                '='
-            });
-        }
-    }
-    text
-}
-
-fn zlib(bytes: &[u8]) -> Vec<u8> {
-    // Stored blocks: no compressor needed.
-    let mut out = vec![0x78, 0x01, 1];
-    out.extend((bytes.len() as u16).to_le_bytes());
-    out.extend((!(bytes.len() as u16)).to_le_bytes());
-    out.extend(bytes);
-    let (mut a, mut b) = (1u32, 0u32);
-    for &byte in bytes {
-        a = (a + u32::from(byte)) % 65521;
-        b = (b + a) % 65521;
-    }
-    out.extend((b << 16 | a).to_be_bytes());
-    out
-}
-
-fn vtk_ascii() -> String {
-    format!(
-        "# vtk DataFile Version 3.0\ntwo\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 5 float\n{}CELLS 4 16\n\
-         4 0 1 2 3\n1 0\n3 0 1 2\n4 1 2 3 4\nCELL_TYPES 4\n10\n1\n5\n10\nPOINT_DATA 5\nSCALARS a int\n",
-        points_text()
-    )
-}
-
-fn vtk_5_ascii() -> String {
-    format!(
-        "# vtk DataFile Version 5.1\r\ntwo\r\nASCII\r\nDATASET UNSTRUCTURED_GRID\r\nFIELD FieldData 1\r\n\
-         TIME 1 1 double\r\n0.5\r\nPOINTS 5 double\r\n{}\r\nMETADATA\r\nINFORMATION 1\r\n\
-         NAME L2_NORM_RANGE LOCATION vtkDataArray\r\nDATA 2 0 17\r\n\r\nCELLS 3 8\r\n\
-         OFFSETS vtktypeint64\r\n0 4 8\r\nCONNECTIVITY vtktypeint64\r\n0 1 2 3 1 2 3 4\r\n\
-         CELL_TYPES 2\r\n10\r\n10\r\n",
-        points_text()
-    )
-}
-
-fn vtk_binary(is_new: bool) -> Vec<u8> {
-    let mut out = Vec::new();
-    let version = if is_new { "5.1" } else { "2.0" };
-    let kind = if is_new { "double" } else { "float" };
-    out.extend(
-        format!(
-            "# vtk DataFile Version {version}\ntwo\nBINARY\nDATASET UNSTRUCTURED_GRID\nPOINTS 5 {kind}\n"
-        )
-        .bytes(),
-    );
-    for x in POINTS_MM.as_flattened() {
-        if is_new { out.extend(x.to_be_bytes()) } else { out.extend((*x as f32).to_be_bytes()) }
-    }
-    if is_new {
-        out.extend(b"\nMETADATA\nINFORMATION 0\n\nCELLS 3 8\nOFFSETS vtktypeint64\n");
-        out.extend([0i64, 4, 8].iter().flat_map(|x| x.to_be_bytes()));
-        out.extend(b"\nCONNECTIVITY vtktypeint64\n");
-        out.extend(TETS.as_flattened().iter().flat_map(|&x| i64::from(x).to_be_bytes()));
-    } else {
-        out.extend(b"\nCELLS 2 10\n");
-        for tet in TETS {
-            out.extend(4i32.to_be_bytes());
-            out.extend(tet.iter().flat_map(|x| x.to_be_bytes()));
-        }
-    }
-    out.extend(b"\nCELL_TYPES 2\n");
-    out.extend([10i32; 2].iter().flat_map(|x| x.to_be_bytes()));
-    out.extend(b"\n");
-    out
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum VtuStyle {
-    Ascii,
-    /// Header and data in one base64 string.
-    Inline,
-    /// Header and data in a string each.
-    InlineSplit,
-    InlineZlib,
-    AppendedRaw,
-    AppendedBase64,
-    AppendedRawZlib,
-    AppendedBase64Zlib,
-    BigEndian64,
-}
-
-const VTU_STYLES: [VtuStyle; 9] = [
-    VtuStyle::Ascii,
-    VtuStyle::Inline,
-    VtuStyle::InlineSplit,
-    VtuStyle::InlineZlib,
-    VtuStyle::AppendedRaw,
-    VtuStyle::AppendedBase64,
-    VtuStyle::AppendedRawZlib,
-    VtuStyle::AppendedBase64Zlib,
-    VtuStyle::BigEndian64,
-];
-
-/// The data arrays of a file of one style, and what is appended at its end.
-struct VtuArrays {
-    style: VtuStyle,
-    appended: Vec<u8>,
-}
-
-impl VtuArrays {
-    fn is_big_endian(&self) -> bool {
-        self.style == VtuStyle::BigEndian64
-    }
-
-    fn is_zipped(&self) -> bool {
-        use VtuStyle::*;
-        matches!(self.style, InlineZlib | AppendedRawZlib | AppendedBase64Zlib)
-    }
-
-    fn bytes8(&self, x: u64) -> [u8; 8] {
-        if self.is_big_endian() { x.to_be_bytes() } else { x.to_le_bytes() }
-    }
-
-    fn ints(&self, list: &[u32]) -> Vec<u8> {
-        list.iter().flat_map(|&x| self.bytes8(u64::from(x))).collect()
-    }
-
-    fn header_and_payload(&self, data: Vec<u8>) -> (Vec<u8>, Vec<u8>) {
-        let word = |x: usize| {
-            if self.is_big_endian() {
-                (x as u64).to_be_bytes().to_vec()
-            } else {
-                (x as u32).to_le_bytes().to_vec()
-            }
-        };
-        if !self.is_zipped() {
-            return (word(data.len()), data);
-        }
-        // Compressed in two blocks, the second one shorter.
-        let half = data.len() / 2 + 1;
-        let blocks: Vec<Vec<u8>> = data.chunks(half).map(zlib).collect();
-        let sizes = [blocks.len(), half, data.len() % half].into_iter().chain(blocks.iter().map(Vec::len));
-        (sizes.flat_map(word).collect::<Vec<u8>>(), blocks.concat())
-    }
-
-    /// The element of an array that is `text` in ASCII and `data` in binary.
-    fn array(&mut self, attributes: &str, text: String, data: Vec<u8>) -> String {
-        use VtuStyle::*;
-        let (header, payload) = self.header_and_payload(data);
-        let (format, content) = match self.style {
-            Ascii => ("format=\"ascii\"".into(), text),
-            Inline | BigEndian64 => ("format=\"binary\"".into(), base64(&[header, payload].concat())),
-            InlineSplit | InlineZlib => {
-                ("format=\"binary\"".into(), format!("\n  {}{}\n", base64(&header), base64(&payload)))
-            }
-            AppendedRaw | AppendedRawZlib | AppendedBase64 | AppendedBase64Zlib => {
-                let offset = self.appended.len();
-                match self.style {
-                    AppendedBase64 => self.appended.extend(base64(&[header, payload].concat()).bytes()),
-                    AppendedBase64Zlib => {
-                        self.appended.extend(format!("{}{}", base64(&header), base64(&payload)).bytes());
-                    }
-                    _ => self.appended.extend([header, payload].concat()),
-                }
-                (format!("format=\"appended\" offset=\"{offset}\""), String::new())
-            }
-        };
-        format!("<DataArray {attributes} {format}>{content}</DataArray>\n")
-    }
-}
-
-fn vtu(style: VtuStyle) -> Vec<u8> {
-    use VtuStyle::*;
-    let mut arrays = VtuArrays { style, appended: Vec::new() };
-    let floats: Vec<u8> = POINTS_MM.as_flattened().iter().flat_map(|x| arrays.bytes8(x.to_bits())).collect();
-    let points = arrays.array("type=\"Float64\" NumberOfComponents=\"3\"", points_text(), floats);
-    let corners = arrays.ints(&[0, 1, 2, 3, 0, 1, 2, 1, 2, 3, 4]);
-    let connectivity =
-        arrays.array("type=\"Int64\" Name=\"connectivity\"", "0 1 2 3 0 1 2 1 2 3 4".into(), corners);
-    let ends = arrays.ints(&[4, 7, 11]);
-    let offsets = arrays.array("type=\"Int64\" Name=\"offsets\"", "4 7 11".into(), ends);
-    let types = arrays.array("type=\"UInt8\" Name=\"types\"", "10 5 10".into(), vec![10, 5, 10]);
-    let order = if arrays.is_big_endian() { "BigEndian\" header_type=\"UInt64" } else { "LittleEndian" };
-    let compressor = if arrays.is_zipped() { " compressor=\"vtkZLibDataCompressor\"" } else { "" };
-    let appended = arrays.appended;
-    let mut out = format!(
-        "<?xml version=\"1.0\"?>\n<VTKFile type=\"UnstructuredGrid\" version=\"0.1\" byte_order=\"{order}\"{compressor}>\n\
-         <UnstructuredGrid>\n<Piece NumberOfPoints=\"5\" NumberOfCells=\"3\">\n<Points>{points}</Points>\n\
-         <Cells>{connectivity}{offsets}{types}</Cells>\n</Piece>\n</UnstructuredGrid>\n"
-    )
-    .into_bytes();
-    if !appended.is_empty() {
-        let encoding = if matches!(style, AppendedRaw | AppendedRawZlib) { "raw" } else { "base64" };
-        out.extend(format!("<AppendedData encoding=\"{encoding}\">\n  _").bytes());
-        out.extend(appended);
-        out.extend(b"\n</AppendedData>\n");
-    }
-    out.extend(b"</VTKFile>\n");
-    out
-}
-
-fn gmsh_2() -> String {
-    let nodes: String = (0..5)
-        .map(|n| format!("{} {} {} {}\n", 10 * n + 7, POINTS_MM[n][0], POINTS_MM[n][1], POINTS_MM[n][2]))
-        .collect();
-    format!(
-        "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$PhysicalNames\n1\n3 1 \"liver\"\n$EndPhysicalNames\n\
-         $Nodes\n5\n{nodes}$EndNodes\n$Elements\n4\n1 15 2 0 1 7\n2 2 2 0 1 7 17 27\n\
-         3 4 2 0 1 7 17 27 37\n4 4 2 0 1 17 27 37 47\n$EndElements\n"
-    )
-}
-
-fn gmsh_4() -> String {
-    let at = |n: usize| format!("{} {} {}\n", POINTS_MM[n][0], POINTS_MM[n][1], POINTS_MM[n][2]);
-    format!(
-        "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Entities\n0 0 0 1\n1 0 0 0 1 1 1 0 0\n$EndEntities\n\
-         $Nodes\n2 5 1 9\n2 1 1 2\n9\n2\n{} 0.5 0.5\n{} 0.25 1\n3 1 0 3\n4\n1\n5\n{}{}{}$EndNodes\n\
-         $Elements\n2 3 1 3\n2 1 2 1\n1 9 2 4\n3 1 4 2\n2 9 2 4 1\n3 2 4 1 5\n$EndElements\n",
-        at(0).trim(),
-        at(1).trim(),
-        at(2),
-        at(3),
-        at(4)
-    )
-}
-
-fn gmsh_binary(version: GmshVersion) -> Vec<u8> {
-    let int = |x: i32| x.to_le_bytes();
-    let size = |x: u64| x.to_le_bytes();
-    let mut out = Vec::new();
-    let is_2 = version == GmshVersion::V2_2;
-    out.extend(format!("$MeshFormat\n{} 1 8\n", if is_2 { "2.2" } else { "4.1" }).bytes());
-    out.extend(int(1));
-    out.extend(b"\n$EndMeshFormat\n$Nodes\n");
-    if is_2 {
-        out.extend(b"5\n");
-    } else {
-        out.extend([1u64, 5, 1, 5].into_iter().flat_map(size));
-        out.extend([3, 1, 0].into_iter().flat_map(int));
-        out.extend([5u64, 1, 2, 3, 4, 5].into_iter().flat_map(size));
-    }
-    for (n, p) in POINTS_MM.iter().enumerate() {
-        if is_2 {
-            out.extend(int(n as i32 + 1));
-        }
-        out.extend(p.iter().flat_map(|x| x.to_le_bytes()));
-    }
-    out.extend(b"\n$EndNodes\n$Elements\n");
-    if is_2 {
-        out.extend(b"3\n");
-        out.extend([2, 1, 2, 1, 0, 0, 1, 2, 3].into_iter().flat_map(int));
-        out.extend([4, 2, 1].into_iter().flat_map(int));
-    } else {
-        out.extend([1u64, 2, 1, 2].into_iter().flat_map(size));
-        out.extend([3, 1, 4].into_iter().flat_map(int));
-        out.extend(size(2));
-    }
-    for (t, tet) in TETS.iter().enumerate() {
-        if is_2 {
-            out.extend([t as i32 + 2, 0].into_iter().flat_map(int));
-            out.extend(tet.iter().flat_map(|&n| int(n as i32 + 1)));
-        } else {
-            out.extend(size(t as u64 + 1));
-            out.extend(tet.iter().flat_map(|&n| size(u64::from(n) + 1)));
-        }
-    }
-    out.extend(b"\n$EndElements\n");
-    out
-}
-
-fn tetgen(first: u32) -> String {
-    let node: String = (0..5)
-        .map(|n| {
-            format!(
-                "  {}  {} {} {}  0.5 1 # remark\n",
-                n as u32 + first,
-                POINTS_MM[n][0],
-                POINTS_MM[n][1],
-                POINTS_MM[n][2]
-            )
-        })
-        .collect();
-    let ele: String = TETS
-        .iter()
-        .enumerate()
-        .map(|(t, n)| {
-            let [a, b, c, d] = n.map(|n| n + first);
-            format!("{} {a} {b} {c} {d} 3\n", t as u32 + first)
-        })
-        .collect();
-    format!("# nodes\n5 3 1 1\n{node}\0 2 4 1\n{ele}# end\n")
-}
-
-fn plain(first: u32) -> String {
-    let tets: String = TETS.iter().flatten().map(|n| format!("{} ", n + first)).collect();
-    format!("5 2\n{}{tets}\n", points_text())
-}
-
-fn samples() -> Vec<(Kind, Vec<u8>)> {
-    let mut all = vec![
-        (Kind::Vtk, vtk_ascii().into_bytes()),
-        (Kind::Vtk, vtk_5_ascii().into_bytes()),
-        (Kind::Vtk, vtk_binary(false)),
-        (Kind::Vtk, vtk_binary(true)),
-        (Kind::Gmsh, gmsh_2().into_bytes()),
-        (Kind::Gmsh, gmsh_4().into_bytes()),
-        (Kind::Gmsh, gmsh_binary(GmshVersion::V2_2)),
-        (Kind::Gmsh, gmsh_binary(GmshVersion::V4_1)),
-        (Kind::TetGen, tetgen(0).into_bytes()),
-        (Kind::TetGen, tetgen(1).into_bytes()),
-        (Kind::Plain, plain(0).into_bytes()),
-        (Kind::Plain, plain(1).into_bytes()),
-    ];
-    all.extend(VTU_STYLES.map(|style| (Kind::Vtu, vtu(style))));
-    all
 }
 
 #[test]
@@ -421,6 +61,12 @@ fn skipped_cells_are_counted_and_the_unit_is_asked_for() {
     assert_eq!(mesh.positions_m[4], DVec3::splat(10.0));
     let policy = ImportPolicy { unit: LengthUnit::Centimetre, ..ImportPolicy::default() };
     assert_eq!(read_as(Kind::Vtk, text.as_bytes(), &policy).unwrap().positions_m[4], DVec3::splat(0.1));
+    // Text and binary alike.
+    let policy = ImportPolicy { unit: LengthUnit::Inch, ..ImportPolicy::default() };
+    for (kind, bytes) in samples() {
+        let mesh = read_as(kind, &bytes, &policy).unwrap();
+        assert_eq!(mesh.positions_m[4], DVec3::splat(0.254), "{kind:?}");
+    }
 }
 
 #[test]
@@ -437,6 +83,8 @@ fn right_anterior_files_are_turned_to_left_posterior() {
     let comment = "$EndMeshFormat\n$Comments\nspace=ras\n$EndComments";
     turned(read(Kind::Gmsh, &gmsh_2().replace("$EndMeshFormat", comment)));
     turned(read(Kind::TetGen, &tetgen(1).replace("# nodes", "# SPACE=RAS")));
+    turned(read(Kind::Febio, &febio_1().replace("<Material/>", "<!-- SPACE=RAS -->")));
+    turned(read(Kind::Abaqus, &abaqus_flat().replace("two tetrahedra", "Space=RAS")));
     turned(read(Kind::Plain, &format!("# SPACE=RAS\n{}", plain(1))));
     assert_eq!(read(Kind::Vtk, &vtk_ascii().replace("\ntwo\n", "\nSPACE=LPS\n")), two_tets());
 }
@@ -540,6 +188,11 @@ fn every_truncation_is_refused_or_whole() {
     for (kind, bytes) in samples() {
         for length in 0..bytes.len() {
             if let Ok(mesh) = read_as(kind, &bytes[..length], &ImportPolicy::default()) {
+                if kind == Kind::Abaqus {
+                    // The format has neither counts nor an end: a file cut behind an element is whole.
+                    assert!(two_tets().tetrahedra.starts_with(&mesh.tetrahedra));
+                    continue;
+                }
                 let tail = String::from_utf8_lossy(&bytes[length..]).into_owned();
                 // Only what stands behind the mesh may be missing, or the end of its last number.
                 assert!(tail.len() < 40, "{kind:?} cut before {tail:?}");
@@ -554,7 +207,7 @@ fn messages_name_place_found_and_expected() {
     for (text, expected) in vtk_mistakes() {
         assert_tells(Kind::Vtk, &text, expected);
     }
-    for (kind, text, expected) in mistakes_of_lists() {
+    for (kind, text, expected) in mistakes_of_lists().into_iter().chain(mistakes_of_models()) {
         assert_tells(kind, &text, expected);
     }
     for (text, expected) in vtu_mistakes() {
@@ -604,6 +257,22 @@ fn mistakes_of_lists() -> Vec<(Kind, String, &'static str)> {
         (Kind::Gmsh, gmsh_2().replace("\n17 10", "\n7 10"), "node number 7 twice"),
         (Kind::Gmsh, gmsh_2().replace("4 4 2 0 1 17", "4 5 2 0 1 17"), "element 4: found a hexahedron"),
         (
+            Kind::Gmsh,
+            gmsh_1().replace("4 7 17 27 37", "10 7 17 27 37"),
+            "element 3: found 10 nodes, expected 4, as its type has",
+        ),
+        (
+            Kind::Gmsh,
+            gmsh_1().replace("27 37 47", "27 37 48"),
+            "element 4: found node 48, expected one of the nodes under $NOD",
+        ),
+        (Kind::Gmsh, gmsh_1().replace("$ENDNOD", "$EndNOD"), "found the end of the file, expected `$ENDNOD`"),
+        (
+            Kind::Gmsh,
+            gmsh_1().replace("$ELM", "$Elements"),
+            "line 12: found `$Elements`, expected $MeshFormat, $Nodes and $Elements once each, in this order",
+        ),
+        (
             Kind::TetGen,
             tetgen(1).replace("\0 2 4 1", "\0 2 10 1"),
             ".ele file, line 1: found tetrahedra of 10 nodes",
@@ -621,6 +290,97 @@ fn mistakes_of_lists() -> Vec<(Kind, String, &'static str)> {
         ),
         (Kind::Plain, "0 0".into(), "sample: found no tetrahedron"),
     ]
+}
+
+/// Of the formats that hold whole models.
+fn mistakes_of_models() -> Vec<(Kind, String, &'static str)> {
+    let febio = |from: &str, to: &str, expected| (Kind::Febio, febio_4().replace(from, to), expected);
+    let flat = |from: &str, to: &str, expected| (Kind::Abaqus, abaqus_flat().replace(from, to), expected);
+    let part = |from: &str, to: &str, expected| (Kind::Abaqus, abaqus_part().replace(from, to), expected);
+    vec![
+        febio("febio_spec", "spec", "the root element: found `spec`, expected `febio_spec`"),
+        febio(
+            "\"4.0\"",
+            "\"5.0\"",
+            "attribute version: found `5.0`, expected 1.0, 1.1, 1.2, 2.0, 2.5, 3.0, 4.0",
+        ),
+        febio("Mesh>", "Net>", "the file: found no element Geometry or Mesh"),
+        febio("<Mesh>", "<Mesh from=\"a.feb\">", "line 4: found the file `a.feb` named by `from`"),
+        febio(
+            "<Nodes name=\"b\"",
+            "<Part/><Nodes name=\"b\"",
+            "found `Part`, expected Nodes and Elements without",
+        ),
+        febio("id=\"17\"> 1e1", "id=\"17\"> ten", "line 7: found `ten`, expected three finite coordinates"),
+        febio("id=\"17\"> 1e1,", "id=\"17\"> ", "line 7: found `0,\\n0`, expected three finite"),
+        febio("<node id=\"17\"", "<node id=\"7\"", "Nodes: found node 7 twice"),
+        febio("<node id=\"17\"", "<node", "line 7: found id ``, expected a whole number in attribute id"),
+        febio("27,37,47", "27,37", "line 24: found `17,27,37`, expected the numbers of four nodes"),
+        febio("27,37,47", "27,37,47,7", "line 24: found `17,27,37,47,7`, expected the numbers of four nodes"),
+        febio(" type=\"quad4\"", "", "line 21: found unknown element type `elem`"),
+        febio("27,37,47", "27,37,48", "element 3: found node 48, expected one of the nodes under Nodes"),
+        febio("quad4", "hex8", "element 2: found a hexahedron, expected 4-node tetrahedra"),
+        febio(
+            "quad4",
+            "ball9",
+            "line 21: found unknown element type `ball9`, expected tetrahedra (type tet4)",
+        ),
+        febio("</Mesh>", "", "expected an XML document"),
+        flat("*heading", "heading", "line 1: found `heading`, expected a keyword such as *NODE"),
+        flat("7, 0.0,", "7, zero,", "line 5: found `zero`, expected a coordinate (a finite number)"),
+        flat("\n17, 10.0", "\nx, 10.0", "line 6: found `x`, expected a node number"),
+        flat("\n17, 10.0", "\n7, 10.0", "*NODE: found node 7 twice"),
+        flat(
+            "27, 37\n",
+            "27\n",
+            "line 17: found 4 numbers, expected the number of an element and four nodes",
+        ),
+        flat("27, 37\n", "27, 37, 47\n", "line 17: found 6 numbers"),
+        flat(" 27, 37\n", "", "line 18: found a keyword after 3 numbers, expected the number of an element"),
+        flat("37,47", "37,48", "element 3: found node 48, expected one of the nodes under *NODE"),
+        flat(
+            "DC3D4",
+            "C3D10M",
+            "line 23, element 3: found a quadratic tetrahedron, expected 4-node tetrahedra",
+        ),
+        flat("DC3D4", "SC8R", "element 3: found a continuum shell"),
+        flat("DC3D4", "U1", "line 22: found unknown element type `U1`, expected tetrahedra (TYPE=C3D4)"),
+        flat("*node, nset=all", "*NODE, Input = A.INP", "line 4: found the file `A.INP` named by INPUT"),
+        flat("*static", "*Include, input=b.inp", "found the file `B.INP` named by INPUT"),
+        flat(
+            "*node, nset=all",
+            "*node, system=c",
+            "line 4: found SYSTEM=C, expected rectangular coordinates",
+        ),
+        flat("*nset, nset=fixed", "*nfill", "found *NFILL, expected every node and element in *NODE"),
+        part("*Material", "*Part", "line 24: found a second *PART, expected one part alone"),
+        part("*Material", "*Instance", "line 24: found a second *INSTANCE, expected one part alone"),
+        part(
+            "0., 0., 0.",
+            "0., 1., 0.",
+            "line 17: found an instance moved by `0., 1., 0.`, expected an instance at",
+        ),
+        part("type=MASS", "type=C3D4", "found tetrahedra of the assembly, expected tetrahedra in its part"),
+    ]
+}
+
+#[test]
+fn models_have_more_than_tetrahedra_and_latin_letters() {
+    let skipped = |extension: &str, text: &[u8]| {
+        let format = format_of_extension(extension).unwrap();
+        let (mesh, report) = mesh_from_bytes(format, &[text], &ImportPolicy::default(), "x").unwrap();
+        assert_eq!(mesh, two_tets());
+        report.skipped_cells
+    };
+    assert_eq!(skipped("feb", febio_4().as_bytes()), [("quadrilateral", 1)]);
+    assert_eq!(skipped("inp", abaqus_flat().as_bytes()), [("shell", 1)]);
+    assert_eq!(skipped("inp", abaqus_part().as_bytes()), [("mass", 1)]);
+    let latin: Vec<u8> =
+        febio_1().replace("<Material/>", "<!-- J\u{fc}rg -->").chars().map(|c| c as u8).collect();
+    assert_eq!(skipped("feb", &latin), [("triangle", 1)]);
+    let utf: Vec<u8> = latin.iter().map(|&b| if b == b'8' { b'9' } else { b }).collect();
+    let message = read_as(Kind::Febio, &utf, &ImportPolicy::default()).unwrap_err().to_string();
+    assert!(message.contains("found bytes that are no UTF-8"), "{message}");
 }
 
 fn vtu_mistakes() -> Vec<(String, &'static str)> {

@@ -7,14 +7,17 @@ use glisson_mesh::math::DVec3;
 use glisson_mesh::surface::TriMesh;
 use glisson_mesh::surface::error::SurfaceError;
 use glisson_mesh::surface::files::{
-    FileKind, FilePlace, Space, SurfaceFileError, SurfaceFormat, import_closed_surface, parse_surface,
-    read_surface, write_surface, write_surface_as,
+    FileKind, FilePlace, Space, SurfaceFileError, SurfaceFormat, import_closed_surface,
+    import_closed_surface_with, parse_surface, parse_surface_with, read_surface, read_surface_with,
+    write_surface, write_surface_as,
 };
+use glisson_mesh::units::{LengthUnit, likely_unit};
 use proptest::prelude::*;
 
+use crate::mesh_file_samples::{VTU_STYLES, VtuStyle, vtk_xml};
 use crate::surfaces::{cube, torus};
 
-const FORMATS: [(SurfaceFormat, FileKind, &str); 8] = [
+pub(crate) const FORMATS: [(SurfaceFormat, FileKind, &str); 12] = [
     (SurfaceFormat::StlAscii, FileKind::Stl, "stl"),
     (SurfaceFormat::StlBinary, FileKind::Stl, "stl"),
     (SurfaceFormat::Obj, FileKind::Obj, "obj"),
@@ -23,6 +26,10 @@ const FORMATS: [(SurfaceFormat, FileKind, &str); 8] = [
     (SurfaceFormat::PlyBigEndian, FileKind::Ply, "ply"),
     (SurfaceFormat::VtkAscii, FileKind::Vtk, "vtk"),
     (SurfaceFormat::VtkBinary, FileKind::Vtk, "vtk"),
+    (SurfaceFormat::VtpAscii, FileKind::Vtp, "vtp"),
+    (SurfaceFormat::VtpCompressed, FileKind::Vtp, "vtp"),
+    (SurfaceFormat::GltfBinary, FileKind::Gltf, "glb"),
+    (SurfaceFormat::GltfJson, FileKind::Gltf, "gltf"),
 ];
 
 fn parse(kind: FileKind, bytes: impl AsRef<[u8]>) -> Result<TriMesh, SurfaceFileError> {
@@ -49,10 +56,14 @@ fn every_format_gives_back_what_was_written() {
     for n in 0..FORMATS.len() {
         for space in [Space::Lps, Space::Ras] {
             let (path, bytes) = written(folder.path(), &mesh, n, space);
-            assert!(String::from_utf8_lossy(&bytes).contains(&format!("SPACE={space:?}").to_uppercase()));
+            let text = String::from_utf8_lossy(&bytes)
+                .replace("\"frame\": \"", "SPACE=")
+                .replace("\"frame\":\"", "SPACE=");
+            assert!(text.contains(&format!("SPACE={space:?}").to_uppercase()), "{path:?}");
             let read = read_surface(&path).unwrap();
             assert_eq!(read.positions_m.len(), mesh.positions_m.len(), "{path:?}");
-            let tolerance_m = if FORMATS[n].0 == SurfaceFormat::StlBinary { 4e-9 } else { 1e-17 };
+            let is_single = FORMATS[n].0 == SurfaceFormat::StlBinary || FORMATS[n].1 == FileKind::Gltf;
+            let tolerance_m = if is_single { 4e-9 } else { 1e-17 };
             for (a, b) in corners(&read).iter().flatten().zip(corners(&mesh).iter().flatten()) {
                 assert!((*a - *b).length() <= tolerance_m, "{path:?}: {a} {b}");
             }
@@ -103,7 +114,9 @@ fn import_turns_and_cleans_and_says_so() {
     assert!(imported.topology.volume_m3 > 0.0);
     assert_eq!(imported.mesh.positions_m.len(), 8);
     let notes = imported.notes.join("; ");
-    assert!(notes.contains("inside out") && notes.contains("1 vertices") && notes.contains("millimetres"));
+    assert!(notes.contains("inside out") && notes.contains("1 vertices"));
+    let size = "mm long, read in mm: the file may be in another unit, probably m";
+    assert!(notes.contains(size), "{notes}");
     mesh.triangles.pop();
     write_surface(&path, &mesh).unwrap();
     let open = import_closed_surface(&path).unwrap_err().to_string();
@@ -147,7 +160,7 @@ fn errors_name_their_line() {
     assert_refused(FileKind::Obj, obj("f 1 2"), line, &["at least 3 corners", "2 corners"]);
     assert_refused(FileKind::Obj, obj("f 1 0 2"), line, &["from 1"]);
     assert_refused(FileKind::Obj, obj("v 1 2 x"), line, &["coordinate", "'x'"]);
-    assert_refused(FileKind::Obj, obj("v 1 2 nan"), line, &["1e9 mm", "NaN"]);
+    assert_refused(FileKind::Obj, obj("v 1 2 nan"), line, &["within 1e9", "NaN"]);
     assert_refused(FileKind::Obj, obj("bevel on"), line, &["OBJ statement", "'bevel'"]);
     assert_refused(FileKind::Obj, obj("# SPACE=XYZ"), line, &["SPACE=LPS or SPACE=RAS", "XYZ"]);
 
@@ -227,13 +240,108 @@ fn ply_skips_what_it_does_not_know() {
     assert_eq!(mesh.positions_m[2], DVec3::new(0.0, 1e-3, 0.0));
 }
 
+#[test]
+fn the_unit_is_asked_for_where_the_format_does_not_say_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let mesh = torus(0.03, 0.01, 17, 9);
+    for n in 0..FORMATS.len() {
+        let (path, bytes) = written(folder.path(), &mesh, n, Space::Lps);
+        let in_mm = read_surface(&path).unwrap().volume_m3();
+        assert!((in_mm / mesh.volume_m3() - 1.0).abs() < 1e-5);
+        for unit in LengthUnit::ALL {
+            let times = if FORMATS[n].1 == FileKind::Gltf { 1.0 } else { unit.size_m() / 1e-3 };
+            let read = read_surface_with(&path, unit).unwrap();
+            assert!((read.volume_m3() / in_mm / times.powi(3) - 1.0).abs() < 1e-12, "{path:?} {unit}");
+            assert_eq!(read, parse_surface_with(&path, &bytes, FORMATS[n].1, unit).unwrap());
+        }
+    }
+    let (path, _) = written(folder.path(), &mesh, 2, Space::Lps);
+    let imported = import_closed_surface_with(&path, LengthUnit::Metre).unwrap();
+    let notes = imported.notes.join("; ");
+    assert!(notes.ends_with("mm long, read in m: the file may be in another unit, probably mm"), "{notes}");
+    assert_eq!(likely_unit(imported.topology.volume_m3, LengthUnit::Metre), Some(LengthUnit::Millimetre));
+}
+
+/// A tetrahedron of 10 mm: two triangles as polygons, two as a strip, and a vertex without a triangle.
+fn vtp(style: VtuStyle) -> Vec<u8> {
+    const POINTS_MM: [[f64; 3]; 4] = [[0.0; 3], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], [0.0, 0.0, 10.0]];
+    vtk_xml(style, "PolyData", |arrays| {
+        let alone = arrays.points(&[[1.0, 2.0, 3.0]]);
+        let points = arrays.points(&POINTS_MM);
+        let corners = arrays.integers("connectivity", &[0, 2, 1, 0, 1, 3]);
+        let ends = arrays.integers("offsets", &[3, 6]);
+        let strip = arrays.integers("connectivity", &[1, 2, 3, 0]);
+        let strip_ends = arrays.integers("offsets", &[4]);
+        format!(
+            "<Piece NumberOfPoints=\"1\">\n<Points>{alone}</Points>\n</Piece>\n<Piece NumberOfPoints=\"0\"/>\n\
+             <Piece NumberOfPoints=\"4\" NumberOfLines=\"0\" NumberOfPolys=\"2\" NumberOfStrips=\"1\">\n\
+             <Points>{points}</Points>\n<Polys>{corners}{ends}</Polys>\n<Strips>{strip}{strip_ends}</Strips>\n</Piece>\n"
+        )
+    })
+}
+
+#[test]
+fn vtp_of_every_encoding_gives_the_same_surface() {
+    for style in VTU_STYLES {
+        let mesh = parse(FileKind::Vtp, vtp(style)).unwrap_or_else(|error| panic!("{style:?}: {error}"));
+        assert_eq!(mesh.triangles, [[1, 3, 2], [1, 2, 4], [2, 3, 4], [4, 3, 1]], "{style:?}");
+        assert_eq!(mesh.positions_m[4], DVec3::new(0.0, 0.0, 0.01));
+        assert!((mesh.volume_m3() - 1e-6 / 6.0).abs() < 1e-20);
+    }
+    let ras =
+        String::from_utf8(vtp(VtuStyle::Ascii)).unwrap().replace("<VTKFile", "<!-- SPACE=RAS --><VTKFile");
+    assert_eq!(parse(FileKind::Vtp, ras).unwrap().positions_m[2], DVec3::new(-0.01, 0.0, 0.0));
+}
+
+#[test]
+fn vtp_mistakes_are_named() {
+    let text = String::from_utf8(vtp(VtuStyle::Ascii)).unwrap();
+    for (from, to, expected) in [
+        (
+            "PolyData",
+            "ImageData",
+            "test, the root element: found `VTKFile` of ImageData, expected `VTKFile` of type PolyData",
+        ),
+        ("0 2 1 0 1 3", "0 2 1 0 1 4", "piece 2, cell 1 of Polys: found 4, expected vertex numbers below 4"),
+        ("0 2 1 0 1 3", "0 2 -1 0 1 3", "piece 2, cell 0 of Polys: found -1"),
+        ("3 6", "2 6", "piece 2, cell 0 of Polys: found 2 corners, expected a polygon of at least 3 corners"),
+        (
+            "3 6",
+            "3 7",
+            "cell 1 of Polys: found corners 3 to 7 of the connectivity, expected an ascending range",
+        ),
+        ("3 6", "3", "piece 2: found 1 offsets in Polys, expected NumberOfPolys = 2"),
+        ("1 2 3 0", "1 2 3 9", "piece 2, cell 0 of Strips: found 9"),
+        (
+            "NumberOfPoints=\"4\"",
+            "NumberOfPoints=\"5\"",
+            "piece 2: found 4 points, expected NumberOfPoints = 5",
+        ),
+        ("NumberOfPoints=\"4\"", "", "piece 2, attribute NumberOfPoints: found ``, expected a count"),
+        (
+            "10 0 0",
+            "1e10 0 0",
+            "piece 2, point 1: found [10000000000, 0, 0], expected coordinates within 1e9",
+        ),
+        ("10 0 0", "ten 0 0", "piece 2, Points, line 2 of the array: found `ten`"),
+        ("Name=\"offsets\"", "Name=\"ends\"", "piece 2: found no array offsets in Polys"),
+        ("</Piece>", "", "expected an XML document"),
+        ("<PolyData>", "<!-- SPACE=XYZ --><PolyData>", "expected SPACE=LPS or SPACE=RAS, found 'SPACE=XYZ'"),
+    ] {
+        let changed = text.replace(from, to);
+        assert_ne!(changed, text, "{from}");
+        let message = parse(FileKind::Vtp, changed).unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}\n  should contain: {expected}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(1000))]
 
     /// Readers answer anything with a surface or an error.
     #[test]
     fn changed_bytes_never_panic(
-        format in 0..FORMATS.len(),
+        format in 0..FORMATS.len() + VTU_STYLES.len(),
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
         cut in prop::option::of(any::<prop::sample::Index>()),
         inserted in prop::option::of((any::<prop::sample::Index>(), "[0-9 \\-\n.ef]{1,12}")),
@@ -242,7 +350,8 @@ proptest! {
         static WRITTEN: OnceLock<Vec<Vec<u8>>> = OnceLock::new();
         let all = WRITTEN.get_or_init(|| {
             let folder = tempfile::tempdir().unwrap();
-            (0..FORMATS.len()).map(|n| written(folder.path(), &cube(), n, Space::Lps).1).collect()
+            let ours = (0..FORMATS.len()).map(|n| written(folder.path(), &cube(), n, Space::Lps).1);
+            ours.chain(VTU_STYLES.map(vtp)).collect()
         });
         let mut bytes = all[format].clone();
         for (index, value) in changes {

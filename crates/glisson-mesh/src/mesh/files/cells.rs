@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use super::text::FormatError;
 use crate::math::DVec3;
 use crate::mesh::NodeId;
+use crate::scan::FormatError;
 
 /// What a cell is to a tetrahedral mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

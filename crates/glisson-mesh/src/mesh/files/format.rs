@@ -5,9 +5,9 @@ use std::fs::File;
 use std::io::{self, BufWriter};
 
 use super::cells::RawMesh;
-use super::text::FormatError;
 use crate::mesh::TetMesh;
-use crate::mesh::faults::LengthUnit;
+use crate::scan::FormatError;
+use crate::units::LengthUnit;
 
 /// Writes a mesh into a file.
 pub(super) type WriteMesh = fn(&TetMesh, &mut BufWriter<File>) -> io::Result<()>;

@@ -1,6 +1,7 @@
-//! Gmsh files (`.msh`), versions 2.x and 4.1, ASCII and binary.
+//! Gmsh files (`.msh`), versions 2.x and 4.1, ASCII and binary, and version 1, which is text.
 //!
-//! Source: Gmsh reference manual, chapter "Gmsh file formats" (gmsh.info). Node numbers are any; sections
+//! Source: Gmsh reference manual, chapter "Gmsh file formats" (gmsh.info), with its section on the legacy
+//! version 1: no `$MeshFormat`, but `$NOD ... $ENDNOD` and `$ELM ... $ENDELM`. Node numbers are any; sections
 //! other than nodes and elements are passed over.
 
 use std::io::{self, Write};
@@ -8,11 +9,12 @@ use std::io::{self, Write};
 use super::GmshVersion;
 use super::cells::{CellKind, Frame, RawMesh, gmsh_element_kind, refused_volume};
 use super::format::{MeshFormat, file};
-use super::text::{FormatError, Scanner, millimetres, quoted};
+use super::numbered::NumberedNodes;
 use crate::binary::{ByteOrder, NumberType};
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
-use crate::mesh::faults::LengthUnit;
+use crate::scan::{FormatError, Scanner, millimetres, quoted};
+use crate::units::LengthUnit;
 
 struct GmshReader<'a> {
     scanner: Scanner<'a>,
@@ -20,8 +22,9 @@ struct GmshReader<'a> {
     binary: Option<ByteOrder>,
     unit: LengthUnit,
     raw: RawMesh,
-    /// Number in the file and place of each node, ascending.
-    places: Vec<(i64, usize)>,
+    nodes: NumberedNodes,
+    /// What the list of nodes is called.
+    node_section: &'static str,
 }
 
 /// The format's row of the table.
@@ -40,7 +43,8 @@ fn read(bytes: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
         binary: None,
         unit,
         raw: RawMesh::default(),
-        places: Vec::new(),
+        nodes: NumberedNodes::default(),
+        node_section: "$Nodes",
     };
     let mut version = None;
     let (mut has_nodes, mut has_elements) = (false, false);
@@ -73,8 +77,22 @@ fn read(bytes: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
                 reader.end_section(section)?;
                 has_elements = true;
             }
-            (b"$Nodes" | b"$Elements" | b"$MeshFormat", _) => {
-                let expected = "$MeshFormat, $Nodes and $Elements once each, in this order";
+            (b"$NOD", None) if !has_nodes => {
+                // Nodes are written as in version 2.
+                reader.node_section = "$NOD";
+                reader.read_nodes_2()?;
+                reader.index_nodes()?;
+                reader.end_section(section)?;
+                has_nodes = true;
+            }
+            (b"$ELM", None) if has_nodes && !has_elements => {
+                reader.read_elements_1()?;
+                reader.end_section(section)?;
+                has_elements = true;
+            }
+            (b"$Nodes" | b"$Elements" | b"$MeshFormat" | b"$NOD" | b"$ELM", _) => {
+                let expected =
+                    "$MeshFormat, $Nodes and $Elements once each, in this order (version 1: $NOD and $ELM)";
                 return Err(reader.scanner.error(quoted(section), expected));
             }
             _ if section.starts_with(b"$") => reader.end_section(section)?,
@@ -82,9 +100,10 @@ fn read(bytes: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
         }
     }
     if !has_elements {
-        return Err(reader
-            .scanner
-            .error("the end of the file", "$MeshFormat, $Nodes and $Elements before it"));
+        return Err(reader.scanner.error(
+            "the end of the file",
+            "$MeshFormat, $Nodes and $Elements before it (version 1: $NOD and $ELM)",
+        ));
     }
     Ok(reader.raw)
 }
@@ -124,7 +143,9 @@ impl GmshReader<'_> {
 
     /// Passes over what is left of a section.
     fn end_section(&mut self, name: &[u8]) -> Result<(), FormatError> {
-        let mut end = b"$End".to_vec();
+        // Version 1 has capital letters alone.
+        let is_capital = !name.iter().any(u8::is_ascii_lowercase);
+        let mut end = if is_capital { b"$END".to_vec() } else { b"$End".to_vec() };
         end.extend_from_slice(&name[1..]);
         if self.scanner.skip_past(&end) {
             return Ok(());
@@ -170,7 +191,7 @@ impl GmshReader<'_> {
     fn coordinate(&mut self) -> Result<f64, FormatError> {
         let Some(order) = self.binary else { return self.scanner.length_m(self.unit, "a coordinate") };
         let bytes = self.scanner.take(8, "a coordinate")?;
-        let value = NumberType::F64.float(bytes, order) / self.unit.per_metre();
+        let value = self.unit.to_metres(NumberType::F64.float(bytes, order));
         if value.is_finite() {
             Ok(value)
         } else {
@@ -183,7 +204,7 @@ impl GmshReader<'_> {
     }
 
     fn add_node(&mut self, number: i64, position_m: DVec3) {
-        self.places.push((number, self.raw.positions_m.len()));
+        self.nodes.push(number);
         self.raw.positions_m.push(position_m);
     }
 
@@ -220,19 +241,18 @@ impl GmshReader<'_> {
                 }
             }
         }
-        if self.places.len() != n_nodes {
-            let found = format!("{} nodes in the blocks", self.places.len());
+        if self.nodes.len() != n_nodes {
+            let found = format!("{} nodes in the blocks", self.nodes.len());
             return Err(self.scanner.error(found, format!("{n_nodes} as announced")));
         }
         Ok(())
     }
 
     fn index_nodes(&mut self) -> Result<(), FormatError> {
-        self.places.sort_unstable();
-        match self.places.windows(2).find(|pair| pair[0].0 == pair[1].0) {
-            Some(pair) => Err(self
-                .scanner
-                .error(format!("node number {} twice", pair[0].0), "a number of its own for each")),
+        match self.nodes.sort() {
+            Some(number) => {
+                Err(self.scanner.error(format!("node number {number} twice"), "a number of its own for each"))
+            }
             None => Ok(()),
         }
     }
@@ -258,21 +278,14 @@ impl GmshReader<'_> {
                 Ok(())
             }
             CellKind::Tetrahedron => {
-                let mut places = [0; 4];
-                for place in &mut places {
-                    let wanted = node(self, "a node of a tetrahedron")?;
-                    let at = self.places.binary_search_by_key(&wanted, |p| p.0).map_err(|_| {
-                        let found = format!("node {wanted}");
-                        FormatError::named(
-                            format!("element {number}"),
-                            found,
-                            "one of the nodes under $Nodes",
-                        )
-                    })?;
-                    *place = self.places[at].1 as i64;
+                let mut numbers = [0; 4];
+                for number in &mut numbers {
+                    *number = node(self, "a node of a tetrahedron")?;
                 }
+                let element = || format!("element {number}");
+                let places = self.nodes.places(numbers, element, self.node_section)?;
                 let n_nodes = self.raw.positions_m.len();
-                self.raw.add_tetrahedron(places, 0, n_nodes, || format!("element {number}"))
+                self.raw.add_tetrahedron(places, 0, n_nodes, element)
             }
         }
     }
@@ -281,6 +294,29 @@ impl GmshReader<'_> {
         gmsh_element_kind(element_type).ok_or_else(|| {
             self.scanner.error(format!("unknown Gmsh element type {element_type}"), "tetrahedra (type 4)")
         })
+    }
+
+    /// Number, type, two regions, number of nodes, nodes.
+    fn read_elements_1(&mut self) -> Result<(), FormatError> {
+        let n = self.scanner.count("elements", 10)?;
+        for _ in 0..n {
+            let number = self.scanner.integer("an element number")?;
+            let kind = self.scanner.integer("an element type")?;
+            let kind = self.element_kind(kind)?;
+            self.scanner.integer("a physical region")?;
+            self.scanner.integer("an elementary region")?;
+            let n_nodes = self.scanner.integer("the number of nodes of an element")?;
+            self.read_element(number, kind)?;
+            if n_nodes != kind.1 as i64 {
+                let found = format!("{n_nodes} nodes");
+                return Err(FormatError::named(
+                    format!("element {number}"),
+                    found,
+                    format!("{}, as its type has", kind.1),
+                ));
+            }
+        }
+        Ok(())
     }
 
     fn read_elements_2(&mut self) -> Result<(), FormatError> {

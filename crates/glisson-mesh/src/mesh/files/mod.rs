@@ -4,11 +4,13 @@
 //! |---|---|---|---|
 //! | VTK legacy | `.vtk` | ASCII and binary, 2.0 to 5.1 | ASCII 3.0 |
 //! | VTK XML | `.vtu` | ASCII, base64, appended raw or base64, zlib | positions ASCII, the rest base64 + zlib |
-//! | Gmsh | `.msh` | 2.x and 4.1, ASCII and binary | ASCII 2.2 (and 4.1) |
+//! | Gmsh | `.msh` | 2.x and 4.1, ASCII and binary; 1 | ASCII 2.2 (and 4.1) |
 //! | TetGen | `.node` + `.ele` | numbered from 0 or 1 | |
+//! | FEBio | `.feb` | 1.x to 4.0 (`Geometry` or `Mesh`) | |
+//! | Abaqus | `.inp` | flat, or one part with one instance that is not moved | |
 //! | plain list | `.tet`, `.txt` | words separated by blanks, see `plain_list` | |
 //!
-//! No format says its length unit: [`ImportPolicy::unit`] does, millimetres unless told otherwise, and
+//! The length unit is that of [`ImportPolicy::unit`], since formats do not say it: millimetres unless told otherwise, and
 //! millimetres are written. Axes are LPS unless a title or comment says `SPACE=RAS`; `SPACE=LPS` is written.
 //! Written positions are decimals of the metres with the point moved, and text is read in the same way, so
 //! that writing and reading gives the same bits. Binary files of others in millimetres are divided by 1000
@@ -16,19 +18,20 @@
 //!
 //! Counts in a header are checked against the bytes that are there before anything is allocated.
 
-mod base64;
+mod abaqus;
 mod cells;
+mod febio;
 mod format;
 mod gmsh;
+mod numbered;
 mod plain_list;
 mod tetgen;
-mod text;
 mod vtk_legacy;
 mod vtu;
 mod vtu_write;
 
+pub use crate::scan::{FormatError, Place};
 pub use format::MeshFormat;
-pub use text::{FormatError, Place};
 pub use vtu_write::{FieldPlace, FieldValues, VtuField};
 
 use std::fs;
@@ -36,11 +39,10 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use self::cells::{Frame, RawMesh};
-use crate::binary::{ByteOrder, NumberType};
 use crate::files::write_atomically;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
-use crate::mesh::faults::{ImportPolicy, ImportReport, LengthUnit, MeshError};
+use crate::mesh::faults::{ImportPolicy, ImportReport, MeshError};
 
 /// Why a mesh file was not read or written.
 #[derive(Debug, thiserror::Error)]
@@ -87,8 +89,15 @@ pub enum MeshFileError {
 }
 
 /// Every format, in the order of messages: one line a format, whose description is in its own file (docs/extending.md).
-pub const FORMATS: &[MeshFormat] =
-    &[vtk_legacy::FORMAT, vtu::FORMAT, gmsh::FORMAT, tetgen::FORMAT, plain_list::FORMAT];
+pub const FORMATS: &[MeshFormat] = &[
+    vtk_legacy::FORMAT,
+    vtu::FORMAT,
+    gmsh::FORMAT,
+    tetgen::FORMAT,
+    febio::FORMAT,
+    abaqus::FORMAT,
+    plain_list::FORMAT,
+];
 
 /// The format that an extension names, in lower case and without its dot.
 pub fn format_of_extension(extension: &str) -> Option<&'static MeshFormat> {
@@ -205,50 +214,4 @@ pub fn write_gmsh(path: &Path, mesh: &TetMesh, version: GmshVersion) -> Result<(
 
 fn written(path: &Path, result: io::Result<()>) -> Result<(), MeshFileError> {
     result.map_err(|source| MeshFileError::Io { path: path.to_owned(), source })
-}
-
-/// Positions [m] from binary coordinates, three a point.
-fn positions_from_bytes(
-    data: &[u8],
-    kind: NumberType,
-    order: ByteOrder,
-    unit: LengthUnit,
-) -> Result<Vec<DVec3>, FormatError> {
-    let size = kind.n_bytes();
-    let mut positions_m = Vec::with_capacity(data.len() / (3 * size));
-    for (p, point) in data.chunks_exact(3 * size).enumerate() {
-        let [x, y, z] =
-            [0, 1, 2].map(|i| kind.float(&point[i * size..(i + 1) * size], order) / unit.per_metre());
-        let position_m = DVec3::new(x, y, z);
-        if !position_m.is_finite() {
-            return Err(FormatError::named(
-                format!("point {p}"),
-                format!("({x}, {y}, {z})"),
-                "finite coordinates",
-            ));
-        }
-        positions_m.push(position_m);
-    }
-    Ok(positions_m)
-}
-
-/// Integers from binary data.
-fn integers_from_bytes(
-    data: &[u8],
-    kind: NumberType,
-    order: ByteOrder,
-    what: &str,
-) -> Result<Vec<i64>, FormatError> {
-    data.chunks_exact(kind.n_bytes())
-        .enumerate()
-        .map(|(i, bytes)| {
-            kind.integer(bytes, order).ok_or_else(|| {
-                FormatError::named(
-                    format!("entry {i} of {what}"),
-                    format!("{kind:?} data"),
-                    "integers below 2^63",
-                )
-            })
-        })
-        .collect()
 }

@@ -6,9 +6,9 @@
 
 use super::cells::{Frame, RawMesh};
 use super::format::{MeshFormat, file};
-use super::text::{FormatError, Scanner, quoted};
 use crate::math::DVec3;
-use crate::mesh::faults::LengthUnit;
+use crate::scan::{FormatError, Scanner, quoted};
+use crate::units::LengthUnit;
 
 /// The format's row of the table.
 pub(super) const FORMAT: MeshFormat = MeshFormat {

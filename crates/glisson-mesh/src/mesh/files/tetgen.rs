@@ -5,9 +5,9 @@
 
 use super::cells::{Frame, RawMesh};
 use super::format::{MeshFormat, file};
-use super::text::{FormatError, Place, Scanner, quoted};
 use crate::math::DVec3;
-use crate::mesh::faults::LengthUnit;
+use crate::scan::{FormatError, Place, Scanner, quoted};
+use crate::units::LengthUnit;
 
 /// The format's row of the table.
 pub(super) const FORMAT: MeshFormat = MeshFormat {

@@ -8,11 +8,11 @@ use std::io::{self, Write};
 
 use super::cells::{Frame, RawMesh, VtkCells};
 use super::format::{MeshFormat, file};
-use super::text::{FormatError, Scanner, millimetres, quoted};
 use crate::binary::{ByteOrder, NumberType};
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
-use crate::mesh::faults::LengthUnit;
+use crate::scan::{FormatError, Place, Scanner, millimetres, quoted};
+use crate::units::LengthUnit;
 
 struct LegacyReader<'a> {
     scanner: Scanner<'a>,
@@ -60,7 +60,7 @@ fn read(bytes: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
         });
     let Some(version) = version.filter(|v| ((2, 0)..=(5, 1)).contains(v)) else {
         return Err(FormatError {
-            place: super::text::Place::Line(1),
+            place: Place::Line(1),
             found: quoted(first),
             expected: "`# vtk DataFile Version` 2.0 to 5.1".into(),
         });
@@ -146,7 +146,7 @@ impl LegacyReader<'_> {
             return (0..n).map(|_| Ok(DVec3::new(next()?, next()?, next()?))).collect();
         }
         let data = self.scanner.take(n * bytes_each, "point coordinates")?;
-        super::positions_from_bytes(data, kind, ByteOrder::Big, self.unit)
+        crate::binary::positions_from_bytes(data, kind, ByteOrder::Big, self.unit)
     }
 
     fn integers(&mut self, n: usize, kind: NumberType, what: &str) -> Result<Vec<i64>, FormatError> {
@@ -154,7 +154,7 @@ impl LegacyReader<'_> {
             return (0..n).map(|_| self.scanner.integer(what)).collect();
         }
         let data = self.scanner.take(n * kind.n_bytes(), what)?;
-        super::integers_from_bytes(data, kind, ByteOrder::Big, what)
+        crate::binary::integers_from_bytes(data, kind, ByteOrder::Big, what)
     }
 
     fn read_cells(&mut self, cells: &mut VtkCells) -> Result<(), FormatError> {

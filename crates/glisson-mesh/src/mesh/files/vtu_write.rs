@@ -3,10 +3,10 @@
 use std::io::{self, Write};
 
 use super::MeshFileError;
-use super::base64::encode;
-use super::text::millimetres;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
+use crate::scan::millimetres;
+use crate::vtk_xml::write_array;
 
 /// What a field of values lies on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,27 +61,6 @@ pub(super) fn check_fields(mesh: &TetMesh, fields: &[VtuField<'_>]) -> Result<()
         }
     }
     Ok(())
-}
-
-/// Size of the blocks that are compressed each for itself.
-const BLOCK_BYTES: usize = 1 << 16;
-
-/// A data array: attributes, then the bytes compressed in blocks, header and blocks each in base64.
-fn write_array(out: &mut impl Write, attributes: &str, bytes: &[u8]) -> io::Result<()> {
-    let mut sizes = Vec::new();
-    let mut compressed = Vec::new();
-    for block in bytes.chunks(BLOCK_BYTES) {
-        let before = compressed.len();
-        let mut encoder = flate2::write::ZlibEncoder::new(&mut compressed, flate2::Compression::default());
-        encoder.write_all(block)?;
-        encoder.finish()?;
-        sizes.push(compressed.len() - before);
-    }
-    let header = [sizes.len(), BLOCK_BYTES, bytes.len() % BLOCK_BYTES];
-    let header: Vec<u8> = header.iter().chain(&sizes).flat_map(|&w| (w as u64).to_le_bytes()).collect();
-    writeln!(out, "<DataArray {attributes} format=\"binary\">")?;
-    writeln!(out, "{}{}", encode(&header), encode(&compressed))?;
-    writeln!(out, "</DataArray>")
 }
 
 fn escaped(name: &str) -> String {

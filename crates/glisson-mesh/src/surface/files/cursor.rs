@@ -1,10 +1,11 @@
 //! A place in a file's bytes that moves by tokens, lines or bytes, and knows where it is for errors.
 
+use std::path::Path;
 use std::str::FromStr;
 
 use super::{FilePlace, Space, SurfaceFileError};
 use crate::math::DVec3;
-use std::path::Path;
+use crate::scan::FormatError;
 
 /// Longest piece of a file that an error repeats.
 const LONGEST_QUOTE: usize = 40;
@@ -49,6 +50,11 @@ impl<'a> Cursor<'a> {
             expected: expected.into(),
             found: found.into(),
         }
+    }
+
+    /// An error about something in the file that has a name.
+    pub(super) fn content_error(&self, error: FormatError) -> SurfaceFileError {
+        SurfaceFileError::Content { path: self.path.to_owned(), error }
     }
 
     /// Checks that `count` things of at least `bytes_each` bytes can follow.
@@ -158,12 +164,10 @@ impl<'a> Cursor<'a> {
 
     /// `p` if its coordinates are finite.
     pub(super) fn finite(&self, p: DVec3) -> Result<DVec3, SurfaceFileError> {
-        // Beyond this, squared lengths overflow later on; no organ is that far away.
-        const LARGEST_MM: f64 = 1e9;
-        if p.abs().max_element() <= LARGEST_MM && p.is_finite() {
+        if is_usable(p) {
             return Ok(p);
         }
-        Err(self.error("coordinates within 1e9 mm", format!("({}, {}, {})", p.x, p.y, p.z)))
+        Err(self.error("coordinates within 1e9", format!("({}, {}, {})", p.x, p.y, p.z)))
     }
 
     /// The frame that a comment names by `SPACE=`, if it does.
@@ -182,6 +186,12 @@ impl<'a> Cursor<'a> {
             }
         }
     }
+}
+
+/// Whether coordinates, in the file's unit, are finite and not so large that squared lengths overflow later on: no organ
+/// is that far away.
+pub(super) fn is_usable(p: DVec3) -> bool {
+    p.is_finite() && p.abs().max_element() <= 1e9
 }
 
 /// A piece of the file for an error message.

@@ -29,11 +29,11 @@ pub(super) fn parse(mut cursor: Cursor<'_>) -> Result<RawSurface, SurfaceFileErr
                 let mut p = DVec3::ZERO;
                 for axis in 0..3 {
                     let Some(word) = words.next() else {
-                        return Err(cursor.error("'v X Y Z' in mm", quote(line.as_bytes())));
+                        return Err(cursor.error("'v X Y Z'", quote(line.as_bytes())));
                     };
-                    p[axis] = cursor.parse(word, "a coordinate [mm]")?;
+                    p[axis] = cursor.parse(word, "a coordinate")?;
                 }
-                raw.positions_mm.push(cursor.finite(p)?);
+                raw.positions.push(cursor.finite(p)?);
             }
             Some("f") => {
                 corners.clear();
@@ -44,11 +44,11 @@ pub(super) fn parse(mut cursor: Cursor<'_>) -> Result<RawSurface, SurfaceFileErr
                     let from_zero = match number {
                         0 => return Err(cursor.error("a vertex number from 1 or below 0", "0")),
                         1.. => number - 1,
-                        _ => (raw.positions_mm.len() as i64).saturating_add(number),
+                        _ => (raw.positions.len() as i64).saturating_add(number),
                     };
                     corners.push(from_zero);
                 }
-                let n_vertices = raw.positions_mm.len();
+                let n_vertices = raw.positions.len();
                 raw.add_polygon(&cursor, &corners, n_vertices)?;
             }
             Some(word) if IGNORED.contains(&word) => {}

@@ -95,7 +95,7 @@ pub(super) fn parse(mut cursor: Cursor<'_>) -> Result<RawSurface, SurfaceFileErr
                 }
             }
             if element.name == "vertex" {
-                raw.positions_mm.push(cursor.finite(p)?);
+                raw.positions.push(cursor.finite(p)?);
             }
         }
     }

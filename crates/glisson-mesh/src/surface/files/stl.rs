@@ -1,10 +1,10 @@
 //! STL: triangles that repeat their corners, as text or binary.
 
-use std::collections::HashMap;
 use std::io::{self, Write};
 
 use super::cursor::{Cursor, quote};
-use super::{RawSurface, SurfaceFileError, Written};
+use super::weld::Welded;
+use super::{RawSurface, Space, SurfaceFileError, Written};
 use crate::math::DVec3;
 
 const HEADER: usize = 80;
@@ -27,7 +27,7 @@ pub(super) fn parse(mut cursor: Cursor<'_>) -> Result<RawSurface, SurfaceFileErr
         let found = format!("{} more", cursor.rest().len() - count * BYTES_PER_TRIANGLE);
         return Err(cursor.error(format!("no bytes after {count} triangles"), found));
     }
-    let mut welded = Welded::default();
+    let (mut welded, mut corners) = (Welded::default(), Vec::new());
     for _ in 0..count {
         let triangle = cursor.take(BYTES_PER_TRIANGLE, "bytes of a triangle")?;
         let number = |n: usize| {
@@ -37,15 +37,15 @@ pub(super) fn parse(mut cursor: Cursor<'_>) -> Result<RawSurface, SurfaceFileErr
         };
         for corner in 0..3 {
             let [x, y, z] = [0, 1, 2].map(|axis| number(3 * corner + axis));
-            welded.add(cursor.finite(DVec3::new(x, y, z))?);
+            corners.push(welded.add(cursor.finite(DVec3::new(x, y, z))?));
         }
     }
-    Ok(welded.into_raw(space.unwrap_or_default()))
+    Ok(raw_of(welded, &corners, space.unwrap_or_default()))
 }
 
 fn parse_ascii(mut cursor: Cursor<'_>) -> Result<RawSurface, SurfaceFileError> {
     let mut space = None;
-    let mut welded = Welded::default();
+    let (mut welded, mut corners) = (Welded::default(), Vec::new());
     while cursor.rest().iter().any(|b| !b.is_ascii_whitespace()) {
         let title = cursor.next_line().unwrap_or_default();
         if title.trim_ascii().is_empty() {
@@ -76,15 +76,15 @@ fn parse_ascii(mut cursor: Cursor<'_>) -> Result<RawSurface, SurfaceFileError> {
                 expect(&mut cursor, "vertex")?;
                 let mut p = DVec3::ZERO;
                 for axis in 0..3 {
-                    p[axis] = cursor.number("a coordinate [mm]")?;
+                    p[axis] = cursor.number("a coordinate")?;
                 }
-                welded.add(cursor.finite(p)?);
+                corners.push(welded.add(cursor.finite(p)?));
             }
             expect(&mut cursor, "endloop")?;
             expect(&mut cursor, "endfacet")?;
         }
     }
-    Ok(welded.into_raw(space.unwrap_or_default()))
+    Ok(raw_of(welded, &corners, space.unwrap_or_default()))
 }
 
 fn expect(cursor: &mut Cursor<'_>, word: &str) -> Result<(), SurfaceFileError> {
@@ -93,30 +93,9 @@ fn expect(cursor: &mut Cursor<'_>, word: &str) -> Result<(), SurfaceFileError> {
     if found == word { Ok(()) } else { Err(cursor.error(what, quote(found.as_bytes()))) }
 }
 
-/// Corners in order, equal ones once. The map is only looked up, never walked through.
-#[derive(Default)]
-struct Welded {
-    number: HashMap<[u64; 3], u32>,
-    positions_mm: Vec<DVec3>,
-    corners: Vec<u32>,
-}
-
-impl Welded {
-    fn add(&mut self, p: DVec3) {
-        // Adding zero turns -0 into 0.
-        let p = p + DVec3::ZERO;
-        let next = u32::try_from(self.positions_mm.len()).expect("STL counts triangles by 32 bits");
-        let number = *self.number.entry(p.to_array().map(f64::to_bits)).or_insert(next);
-        if number == next {
-            self.positions_mm.push(p);
-        }
-        self.corners.push(number);
-    }
-
-    fn into_raw(self, space: super::Space) -> RawSurface {
-        let triangles = self.corners.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
-        RawSurface { positions_mm: self.positions_mm, triangles, space }
-    }
+fn raw_of(welded: Welded, corners: &[u32], space: Space) -> RawSurface {
+    let triangles = corners.as_chunks().0.to_vec();
+    RawSurface { positions: welded.positions, triangles, space, ..RawSurface::default() }
 }
 
 fn unit_normal(corners: [DVec3; 3]) -> DVec3 {

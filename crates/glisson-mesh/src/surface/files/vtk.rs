@@ -78,11 +78,11 @@ pub(super) fn parse(mut cursor: Cursor<'_>) -> Result<RawSurface, SurfaceFileErr
         match section.to_ascii_uppercase().as_str() {
             "POINTS" => reader.points(&mut raw)?,
             "POLYGONS" => reader.cells(|cursor, corners| {
-                let n_vertices = raw.positions_mm.len();
+                let n_vertices = raw.positions.len();
                 raw.add_polygon(cursor, corners, n_vertices)
             })?,
             "TRIANGLE_STRIPS" => reader.cells(|cursor, corners| {
-                let n_vertices = raw.positions_mm.len();
+                let n_vertices = raw.positions.len();
                 for (n, three) in corners.windows(3).enumerate() {
                     let [a, b, c] = [three[0], three[1], three[2]];
                     let triangle = if n % 2 == 0 { [a, b, c] } else { [b, a, c] };
@@ -155,15 +155,15 @@ impl Reader<'_> {
     }
 
     fn points(&mut self, raw: &mut RawSurface) -> Result<(), SurfaceFileError> {
-        if !raw.positions_mm.is_empty() {
+        if !raw.positions.is_empty() {
             return Err(self.cursor.error("one POINTS section", "a second one"));
         }
         let count: u64 = self.cursor.number("a number of points")?;
         let scalar = self.scalar()?;
-        let numbers = self.numbers(count.saturating_mul(3), scalar, "coordinates [mm]")?;
+        let numbers = self.numbers(count.saturating_mul(3), scalar, "coordinates")?;
         for p in numbers.chunks_exact(3) {
             let p = DVec3::new(p[0].real(), p[1].real(), p[2].real());
-            raw.positions_mm.push(self.cursor.finite(p)?);
+            raw.positions.push(self.cursor.finite(p)?);
         }
         Ok(())
     }

@@ -1,8 +1,8 @@
-//! Base64 (RFC 4648) as VTK uses it: several encoded strings one behind the other, each with its own
+//! Base64 (RFC 4648), also as VTK uses it: several encoded strings one behind the other, each with its own
 //! padding, and blanks anywhere.
 
 /// Decodes from the front, as much as is asked for.
-pub(super) struct Base64Reader<'a> {
+pub(crate) struct Base64Reader<'a> {
     encoded: &'a [u8],
     /// Decoded bytes not handed out yet.
     pending: [u8; 3],
@@ -10,17 +10,17 @@ pub(super) struct Base64Reader<'a> {
 }
 
 impl<'a> Base64Reader<'a> {
-    pub(super) fn new(encoded: &'a [u8]) -> Self {
+    pub(crate) fn new(encoded: &'a [u8]) -> Self {
         Self { encoded, pending: [0; 3], n_pending: 0 }
     }
 
     /// Most bytes that can still come out.
-    pub(super) fn most_left(&self) -> usize {
+    pub(crate) fn most_left(&self) -> usize {
         self.encoded.len() / 4 * 3 + 3 + self.n_pending
     }
 
     /// The next `n` bytes; none if the text ends before, or is no base64.
-    pub(super) fn read(&mut self, n: usize) -> Option<Vec<u8>> {
+    pub(crate) fn read(&mut self, n: usize) -> Option<Vec<u8>> {
         if n > self.most_left() {
             return None;
         }
@@ -75,7 +75,7 @@ impl<'a> Base64Reader<'a> {
 }
 
 /// `bytes` as base64 with padding.
-pub(super) fn encode(bytes: &[u8]) -> String {
+pub(crate) fn encode(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
     for group in bytes.chunks(3) {

@@ -3,7 +3,9 @@
 use std::borrow::Cow;
 use std::fmt;
 
-use crate::mesh::faults::LengthUnit;
+use roxmltree::Document;
+
+use crate::units::LengthUnit;
 
 /// Where in a file something is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -26,7 +28,7 @@ impl fmt::Display for Place {
     }
 }
 
-/// What is wrong with the content of a mesh file.
+/// What is wrong with the content of a file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{place}: found {found}, expected {expected}")]
 pub struct FormatError {
@@ -40,7 +42,7 @@ pub struct FormatError {
 
 impl FormatError {
     /// A fault at something that has a name.
-    pub(super) fn named(
+    pub(crate) fn named(
         name: impl Into<String>,
         found: impl Into<String>,
         expected: impl Into<String>,
@@ -50,20 +52,29 @@ impl FormatError {
 }
 
 /// Text from a file for a message: short and printable.
-pub(super) fn quoted(bytes: &[u8]) -> String {
+pub(crate) fn quoted(bytes: &[u8]) -> String {
     let shown = String::from_utf8_lossy(&bytes[..bytes.len().min(40)]);
     let more = if bytes.len() > 40 { "..." } else { "" };
     format!("`{}`{more}", shown.escape_debug())
 }
 
 /// Place of `needle` in `bytes` at or after `from`.
-pub(super) fn find(bytes: &[u8], needle: &[u8], from: usize) -> Option<usize> {
+pub(crate) fn find(bytes: &[u8], needle: &[u8], from: usize) -> Option<usize> {
     bytes.get(from..)?.windows(needle.len()).position(|w| w == needle).map(|at| from + at)
+}
+
+/// `xml` as a document.
+pub(crate) fn parse_xml(xml: &str) -> Result<Document<'_>, FormatError> {
+    Document::parse(xml).map_err(|error| FormatError {
+        place: Place::Line(error.pos().row as usize),
+        found: error.to_string(),
+        expected: "an XML document".into(),
+    })
 }
 
 /// A cursor over the bytes of a file.
 #[derive(Clone, Debug)]
-pub(super) struct Scanner<'a> {
+pub(crate) struct Scanner<'a> {
     bytes: &'a [u8],
     at: usize,
     line: usize,
@@ -73,30 +84,30 @@ pub(super) struct Scanner<'a> {
 }
 
 impl<'a> Scanner<'a> {
-    pub(super) fn new(bytes: &'a [u8]) -> Self {
+    pub(crate) fn new(bytes: &'a [u8]) -> Self {
         Self { bytes, at: 0, line: 1, comment: None, digits: String::new() }
     }
 
     /// A scanner that passes over comments from `#` to the end of the line.
-    pub(super) fn with_comments(bytes: &'a [u8]) -> Self {
+    pub(crate) fn with_comments(bytes: &'a [u8]) -> Self {
         Self { comment: Some(b'#'), ..Self::new(bytes) }
     }
 
-    pub(super) fn remaining(&self) -> usize {
+    pub(crate) fn remaining(&self) -> usize {
         self.bytes.len() - self.at
     }
 
-    pub(super) fn rest(&self) -> &'a [u8] {
+    pub(crate) fn rest(&self) -> &'a [u8] {
         &self.bytes[self.at..]
     }
 
     /// An error at the current line.
-    pub(super) fn error(&self, found: impl Into<String>, expected: impl Into<String>) -> FormatError {
+    pub(crate) fn error(&self, found: impl Into<String>, expected: impl Into<String>) -> FormatError {
         FormatError { place: Place::Line(self.line), found: found.into(), expected: expected.into() }
     }
 
     /// An error at the current byte.
-    pub(super) fn byte_error(&self, found: impl Into<String>, expected: impl Into<String>) -> FormatError {
+    pub(crate) fn byte_error(&self, found: impl Into<String>, expected: impl Into<String>) -> FormatError {
         FormatError { place: Place::Byte(self.at), found: found.into(), expected: expected.into() }
     }
 
@@ -116,7 +127,7 @@ impl<'a> Scanner<'a> {
     }
 
     /// The next word; none at the end.
-    pub(super) fn word(&mut self) -> Option<&'a [u8]> {
+    pub(crate) fn word(&mut self) -> Option<&'a [u8]> {
         self.skip_blank();
         let start = self.at;
         while self.bytes.get(self.at).is_some_and(|b| !b.is_ascii_whitespace() && self.comment != Some(*b)) {
@@ -126,7 +137,7 @@ impl<'a> Scanner<'a> {
     }
 
     /// The next word without taking it.
-    pub(super) fn peek(&mut self) -> Option<&'a [u8]> {
+    pub(crate) fn peek(&mut self) -> Option<&'a [u8]> {
         self.skip_blank();
         let before = (self.at, self.line);
         let word = self.word();
@@ -134,17 +145,17 @@ impl<'a> Scanner<'a> {
         word
     }
 
-    pub(super) fn expect_word(&mut self, expected: &str) -> Result<&'a [u8], FormatError> {
+    pub(crate) fn expect_word(&mut self, expected: &str) -> Result<&'a [u8], FormatError> {
         self.word().ok_or_else(|| self.error("the end of the file", expected))
     }
 
     /// The next word as text.
-    pub(super) fn expect_text(&mut self, expected: &str) -> Result<Cow<'a, str>, FormatError> {
+    pub(crate) fn expect_text(&mut self, expected: &str) -> Result<Cow<'a, str>, FormatError> {
         Ok(String::from_utf8_lossy(self.expect_word(expected)?))
     }
 
     /// The rest of the line without its end.
-    pub(super) fn line(&mut self) -> Option<&'a [u8]> {
+    pub(crate) fn line(&mut self) -> Option<&'a [u8]> {
         if self.at == self.bytes.len() {
             return None;
         }
@@ -155,7 +166,7 @@ impl<'a> Scanner<'a> {
         Some(rest[..length].strip_suffix(b"\r").unwrap_or(&rest[..length]))
     }
 
-    pub(super) fn integer(&mut self, expected: &str) -> Result<i64, FormatError> {
+    pub(crate) fn integer(&mut self, expected: &str) -> Result<i64, FormatError> {
         let word = self.expect_word(expected)?;
         std::str::from_utf8(word)
             .ok()
@@ -164,13 +175,13 @@ impl<'a> Scanner<'a> {
     }
 
     /// A count of things of which each takes at least `bytes_each` of the rest of the file.
-    pub(super) fn count(&mut self, what: &str, bytes_each: usize) -> Result<usize, FormatError> {
+    pub(crate) fn count(&mut self, what: &str, bytes_each: usize) -> Result<usize, FormatError> {
         let found = self.integer(&format!("the number of {what}"))?;
         self.check_count(found, what, bytes_each)
     }
 
     /// Checks a count against what the rest of the file can hold.
-    pub(super) fn check_count(
+    pub(crate) fn check_count(
         &self,
         found: i64,
         what: &str,
@@ -188,21 +199,21 @@ impl<'a> Scanner<'a> {
     }
 
     /// A finite number.
-    pub(super) fn number(&mut self, expected: &str) -> Result<f64, FormatError> {
+    pub(crate) fn number(&mut self, expected: &str) -> Result<f64, FormatError> {
         self.length_m(LengthUnit::Metre, expected)
     }
 
     /// A finite length given in `unit` [m]: the decimal point is moved before the text is rounded to binary.
-    pub(super) fn length_m(&mut self, unit: LengthUnit, expected: &str) -> Result<f64, FormatError> {
+    pub(crate) fn length_m(&mut self, unit: LengthUnit, expected: &str) -> Result<f64, FormatError> {
         let word = self.expect_word(expected)?;
         let mut digits = std::mem::take(&mut self.digits);
-        let value = parse_decimal(word, unit.exponent(), &mut digits);
+        let value = parse_length_m(word, unit, &mut digits);
         self.digits = digits;
         value.ok_or_else(|| self.error(quoted(word), format!("{expected} (a finite number)")))
     }
 
     /// The next `n` bytes.
-    pub(super) fn take(&mut self, n: usize, what: &str) -> Result<&'a [u8], FormatError> {
+    pub(crate) fn take(&mut self, n: usize, what: &str) -> Result<&'a [u8], FormatError> {
         let bytes = self.rest().get(..n).ok_or_else(|| {
             self.byte_error(format!("{} bytes left", self.remaining()), format!("{n} bytes of {what}"))
         })?;
@@ -211,7 +222,7 @@ impl<'a> Scanner<'a> {
     }
 
     /// Goes behind the next `needle`, if there is one.
-    pub(super) fn skip_past(&mut self, needle: &[u8]) -> bool {
+    pub(crate) fn skip_past(&mut self, needle: &[u8]) -> bool {
         let found = find(self.bytes, needle, self.at);
         if let Some(at) = found {
             let skipped = &self.bytes[self.at..at + needle.len()];
@@ -222,8 +233,14 @@ impl<'a> Scanner<'a> {
     }
 }
 
+/// The length [m] that `word` is in `unit`, if it is a finite number; `digits` is working space.
+pub(crate) fn parse_length_m(word: &[u8], unit: LengthUnit, digits: &mut String) -> Option<f64> {
+    let (factor, exponent) = unit.decimal();
+    Some(parse_decimal(word, exponent, digits)? * factor).filter(|value| value.is_finite())
+}
+
 /// The finite number nearest to the decimal `word` times ten to `exponent`; none if it is no such number.
-pub(super) fn parse_decimal(word: &[u8], exponent: i32, digits: &mut String) -> Option<f64> {
+fn parse_decimal(word: &[u8], exponent: i32, digits: &mut String) -> Option<f64> {
     let text = std::str::from_utf8(word).ok()?;
     let value: f64 = if exponent == 0 {
         text.parse().ok()?
@@ -243,7 +260,7 @@ pub(super) fn parse_decimal(word: &[u8], exponent: i32, digits: &mut String) -> 
 
 /// `value_m` in millimetres, exactly: the shortest decimal of the metres with its point moved three places.
 /// [`parse_decimal`] with exponent -3 gives back the same bits.
-pub(super) fn millimetres(value_m: f64) -> String {
+pub(crate) fn millimetres(value_m: f64) -> String {
     let text = format!("{value_m:e}");
     let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, "0"));
     let exponent = exponent.parse::<i32>().unwrap_or(0) + 3;

@@ -6,6 +6,7 @@
 
 mod ct;
 mod igtl;
+mod images;
 mod netns;
 mod network;
 mod peers;
@@ -73,6 +74,9 @@ enum Task {
         #[arg(long, default_value_t = 10.0)]
         seconds: f64,
     },
+    /// Image and mesh files against SimpleITK, nibabel, pydicom (with its sample files) and meshio, and CGAL's liver from
+    /// file to running simulation; it installs them into a folder of its own. `test` does all of it but CGAL's liver
+    Images,
     /// Fetch the real CT that the tests use into data/ct (nothing of it enters the repository)
     FetchCt,
 }
@@ -193,6 +197,10 @@ fn main() -> anyhow::Result<()> {
         Task::Network { scene, require } => {
             let scene = scene.map(|scene| root().join(scene));
             network::all(&network::Request { scene: scene.as_deref(), requires_all: require })
+        }
+        Task::Images => {
+            build_program()?;
+            images::check(true)
         }
         Task::Peers { sizes, seconds } => peers::measure(&sizes, seconds),
         Task::FetchCt => {

@@ -1,7 +1,7 @@
 //! `cargo xtask test`: every check, in the order of how soon it can fail.
 
 use crate::served::Served;
-use crate::{build_program, ct, program, root, run, run_in, setup};
+use crate::{build_program, ct, images, program, root, run, run_in, setup};
 use anyhow::Context;
 use std::path::Path;
 use std::process::Command;
@@ -88,6 +88,7 @@ pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
             "full_size",
         ])
     })?;
+    stages.run("image files against other programs", || images::check(false))?;
     stages.run("demo without a window", || {
         run(&program().to_string_lossy(), &["demo", "--headless", "--out", "out/test/demo"])
     })?;

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use glisson::files::write_atomically;
-use glisson::mesh::faults::{ImportReport, SharedTriangle};
-use glisson::mesh::files::read_mesh;
+use glisson::mesh::faults::{ImportPolicy, ImportReport, SharedTriangle};
+use glisson::mesh::files::{format_of_extension, read_mesh_with};
 use glisson::mesh::quality::{
     DIHEDRAL_BIN_DEG, MeshQuality, RADIUS_RATIO_BINS, SurfaceShape, dihedral_angles_deg, radius_ratios,
     surface_triangles,
@@ -13,9 +13,12 @@ use glisson::mesh::quality::{
 use glisson::mesh::{TetId, TetMesh};
 use glisson::surface::TriMesh;
 use glisson::surface::check::{SurfaceTopology, check_closed};
-use glisson::surface::files::read_surface;
+use glisson::surface::files::{read_surface_with, surface_extensions};
+use glisson::units::LengthUnit;
 
 use glisson_view::plot::Histogram;
+
+use super::image_input::warn_of_unit;
 
 /// Say how good a mesh is, and what is wrong with it.
 ///
@@ -29,8 +32,12 @@ use glisson_view::plot::Histogram;
   glisson check out/liver.msh --svg out/quality.svg
   glisson check liver.stl")]
 pub(crate) struct Args {
-    /// Tetrahedral mesh (.vtu, .vtk, .msh, .node/.ele, plain list) or surface (.stl, .obj, .ply, .vtk)
+    /// Tetrahedral mesh (.vtu, .vtk, .msh, .feb, .inp, .node/.ele, plain list) or surface (.stl, .obj, .ply, .vtk, .vtp,
+    /// .glb, .gltf)
     file: PathBuf,
+    /// Unit of the numbers in a file that names none
+    #[arg(long, value_name = "mm|cm|m|inch", default_value_t)]
+    unit: LengthUnit,
     /// Print JSON instead of text
     #[arg(long)]
     json: bool,
@@ -41,20 +48,19 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let extension = args.file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-    match extension.as_str() {
-        "stl" | "obj" | "ply" => check_surface(args, &read_surface(&args.file)?),
-        // Holds either; the error that counts is the mesh's.
-        "vtk" => match read_mesh(&args.file) {
-            Ok((mesh, import)) => check_mesh(args, &mesh, &import),
-            Err(error) => match read_surface(&args.file) {
-                Ok(surface) if !surface.triangles.is_empty() => check_surface(args, &surface),
-                _ => Err(error.into()),
-            },
+    let policy = ImportPolicy { unit: args.unit, ..ImportPolicy::default() };
+    let is_mesh = format_of_extension(&extension).is_some();
+    if !is_mesh && surface_extensions().contains(&extension.as_str()) {
+        return check_surface(args, &read_surface_with(&args.file, args.unit)?);
+    }
+    match read_mesh_with(&args.file, &policy) {
+        Ok((mesh, import)) => check_mesh(args, &mesh, &import),
+        // `.vtk` holds either; the error that counts is the mesh's.
+        Err(error) if extension == "vtk" => match read_surface_with(&args.file, args.unit) {
+            Ok(surface) if !surface.triangles.is_empty() => check_surface(args, &surface),
+            _ => Err(error.into()),
         },
-        _ => {
-            let (mesh, import) = read_mesh(&args.file)?;
-            check_mesh(args, &mesh, &import)
-        }
+        Err(error) => Err(error.into()),
     }
 }
 
@@ -129,6 +135,7 @@ fn check_mesh(args: &Args, mesh: &TetMesh, import: &ImportReport) -> anyhow::Res
     let shape = SurfaceShape::of(mesh.positions_m.len(), &triangles);
     let faults = mesh_faults(import, &shape);
     let quality = MeshQuality::of(mesh);
+    warn_of_unit(&args.file, quality.volume_m3, args.unit);
     if args.json {
         let answer = MeshAnswer { kind: "tetrahedra", quality, faults: FaultIndices::new(import, &shape) };
         println!("{}", serde_json::to_string_pretty(&answer)?);
@@ -168,6 +175,9 @@ fn listed<T: std::fmt::Display>(items: &[T], what: &str) -> Option<String> {
 fn check_surface(args: &Args, surface: &TriMesh) -> anyhow::Result<()> {
     ensure!(args.svg.is_none(), "{}: --svg draws tetrahedra, this is a surface", args.file.display());
     let checked = check_closed(surface);
+    if let Ok(topology) = &checked {
+        warn_of_unit(&args.file, topology.volume_m3, args.unit);
+    }
     let faults: Vec<String> = checked.as_ref().err().map(ToString::to_string).into_iter().collect();
     if args.json {
         println!("{}", serde_json::to_string_pretty(&surface_answer(surface, checked.ok(), &faults))?);

@@ -5,16 +5,16 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
 use glisson::image::LabelMap;
-use glisson::image::labels::{Parts, mask_volume_m3};
+use glisson::image::labels::{Parts, mask_volume_m3, sides_at_border};
 use glisson::mesh::files::{MeshFormat, extensions_of, write_mesh};
 use glisson::mesh::generate::{MAX_TETRAHEDRA, MIN_TETRAHEDRA, MeshParams, MeshPlan, MeshReport, WantedSize};
 use glisson::mesh::thin::ThinKind;
 use glisson::surface::TriMesh;
-use glisson::surface::check::check_closed;
 use glisson::surface::extract::{SurfaceParams, surface_of_mask};
-use glisson::surface::files::{read_surface, surface_extensions, write_surface};
+use glisson::surface::files::{import_closed_surface_with, surface_extensions, write_surface};
+use glisson::units::LengthUnit;
 
-use super::image_input::{is_image, read_with_notes};
+use super::image_input::{is_image, read_with_notes, warn_of_unit};
 
 /// Number of tetrahedra when neither a number nor a size is given.
 const DEFAULT_TETRAHEDRA: usize = 6_300;
@@ -37,7 +37,8 @@ pub(crate) struct Args {
     /// Label map (.nii, .nii.gz, .nrrd, .seg.nrrd, .mha, .mhd, .inr, .dcm or a folder of masks) or closed surface (.stl,
     /// .obj, .ply, .vtk)
     input: PathBuf,
-    /// Which label of a label map, by name or number [default: liver, or the only label]
+    /// Which label of a label map, by name or number; several as one organ: `liver+tumour` [default: liver, or the only
+    /// label]
     #[arg(long, value_name = "NAME_OR_NUMBER")]
     label: Option<String>,
     /// Take the organ's own label alone, without its vessels and tumours
@@ -49,6 +50,12 @@ pub(crate) struct Args {
     /// Mean edge of the tetrahedra inside [mm]
     #[arg(long, value_name = "MM")]
     element_size_mm: Option<f64>,
+    /// Close an organ that the border of the image cuts off with a flat face there
+    #[arg(long)]
+    cut_at_border: bool,
+    /// Unit of the numbers in a surface file, which names none (glTF: always m) [default: mm]
+    #[arg(long, value_name = "mm|cm|m|inch")]
+    unit: Option<LengthUnit>,
     /// Thin the label's surface out to this many triangles before meshing
     #[arg(long, value_name = "N")]
     surface_triangles: Option<usize>,
@@ -169,6 +176,11 @@ impl Stages {
 }
 
 fn of_label(args: &Args, stages: &Stages) -> anyhow::Result<Source> {
+    ensure!(
+        args.unit.is_none(),
+        "{}: an image says its own unit: --unit is for surfaces",
+        args.input.display()
+    );
     let in_input = || args.input.display().to_string();
     let map = stages.timed(
         "label map",
@@ -189,7 +201,16 @@ fn of_label(args: &Args, stages: &Stages) -> anyhow::Result<Source> {
     let names: Vec<String> =
         selection.labels.iter().map(|&l| map.name_of(l).map_or(l.to_string(), String::from)).collect();
     println!("label        {}: {:.1} ml", names.join(" + "), 1e6 * volume_m3);
-    let params = SurfaceParams { target_triangles: args.surface_triangles, ..SurfaceParams::default() };
+    if args.cut_at_border {
+        for side in sides_at_border(&map.grid, &mask) {
+            println!("cut off      closed with a flat face at {side}");
+        }
+    }
+    let params = SurfaceParams {
+        target_triangles: args.surface_triangles,
+        cap_at_border: args.cut_at_border,
+        ..SurfaceParams::default()
+    };
     let (surface, _) = stages
         .timed(
             "surface",
@@ -223,30 +244,30 @@ fn wanted_label(args: &Args, map: &LabelMap) -> String {
 }
 
 fn of_surface(args: &Args, stages: &Stages) -> anyhow::Result<Source> {
-    if args.label.is_some() || args.without_parts || args.surface_triangles.is_some() {
+    if args.label.is_some() || args.without_parts || args.surface_triangles.is_some() || args.cut_at_border {
         bail!(
-            "{} is no label map: --label, --without-parts and --surface-triangles are for label maps",
+            "{} is no label map: --label, --without-parts, --cut-at-border and --surface-triangles are for label maps",
             args.input.display()
         );
     }
-    let in_input = || args.input.display().to_string();
-    let surface = stages.timed(
+    let unit = args.unit.unwrap_or_default();
+    let imported = stages.timed(
         "surface",
-        || read_surface(&args.input),
-        |surface| {
-            format!("{} triangles over {} vertices", surface.triangles.len(), surface.positions_m.len())
+        || import_closed_surface_with(&args.input, unit),
+        |imported| {
+            let t = &imported.topology;
+            let (pieces, euler, volume_ml) = (t.n_pieces, t.euler_characteristic, 1e6 * t.volume_m3);
+            format!(
+                "{} triangles, closed, {pieces} piece(s), Euler number {euler}, {volume_ml:.1} ml",
+                t.n_triangles
+            )
         },
     )?;
-    let topology = stages
-        .timed(
-            "checked",
-            || check_closed(&surface),
-            |t| {
-                let (pieces, euler) = (t.n_pieces, t.euler_characteristic);
-                format!("closed, {pieces} piece(s), Euler number {euler}, {:.1} ml", 1e6 * t.volume_m3)
-            },
-        )
-        .with_context(in_input)?;
+    for note in &imported.notes {
+        println!("note         {note}");
+    }
+    warn_of_unit(&args.input, imported.topology.volume_m3, unit);
+    let (surface, topology) = (imported.mesh, imported.topology);
     Ok(Source { surface, volume_m3: topology.volume_m3, volume_of: "surface" })
 }
 

@@ -3,6 +3,7 @@
 
 mod broken;
 mod devices;
+mod images;
 mod link;
 mod precompute;
 

@@ -42,7 +42,7 @@ pub enum LabelError {
     },
     /// The organ is cut by the border of the image.
     #[error(
-        "the label touches the border of the volume: {n_voxels} of its voxels lie on {side}, 0 allowed; the organ is cut off there, use an image that holds all of it (or pad it, if a flat cut is acceptable)"
+        "the label touches the border of the volume: {n_voxels} of its voxels lie on {side}, 0 allowed; the organ is cut off there, use an image that holds all of it (or `glisson mesh --cut-at-border`, which closes it with a flat face)"
     )]
     LabelTouchesBorder {
         /// The side, e.g. `i = 0 (right)`.
@@ -131,18 +131,28 @@ impl LabelMap {
         Ok(label)
     }
 
-    /// The organ of a name or number, with or without the labels inside it.
+    /// The organ of a name or number, with or without the labels inside it; several with `+` between them are one organ.
     ///
     /// # Errors
     /// As [`LabelMap::resolve`].
-    pub fn select(&self, name_or_number: &str, parts: Parts) -> Result<LabelSelection, LabelError> {
-        let label = self.resolve(name_or_number)?;
-        let mut labels = BTreeSet::from([label]);
-        if let (Parts::Included, Some(organ)) = (parts, self.name_of(label).map(normalized)) {
-            let listed = PARTS.iter().find(|(o, _)| *o == organ).map_or(&[][..], |(_, names)| names);
-            let prefix = format!("{organ}_");
-            let is_part = |name: &str| listed.contains(&name) || name.starts_with(&prefix);
-            labels.extend(self.names.iter().filter(|(_, name)| is_part(&normalized(name))).map(|(l, _)| *l));
+    pub fn select(&self, names_or_numbers: &str, parts: Parts) -> Result<LabelSelection, LabelError> {
+        let mut labels = BTreeSet::new();
+        // A name may have a plus itself.
+        let asked: Vec<&str> = match self.resolve(names_or_numbers) {
+            Ok(_) => vec![names_or_numbers],
+            Err(_) => names_or_numbers.split('+').collect(),
+        };
+        for name_or_number in asked {
+            let label = self.resolve(name_or_number)?;
+            labels.insert(label);
+            if let (Parts::Included, Some(organ)) = (parts, self.name_of(label).map(normalized)) {
+                let listed = PARTS.iter().find(|(o, _)| *o == organ).map_or(&[][..], |(_, names)| names);
+                let prefix = format!("{organ}_");
+                let is_part = |name: &str| listed.contains(&name) || name.starts_with(&prefix);
+                labels.extend(
+                    self.names.iter().filter(|(_, name)| is_part(&normalized(name))).map(|(l, _)| *l),
+                );
+            }
         }
         Ok(LabelSelection { labels: labels.into_iter().collect() })
     }
@@ -175,11 +185,8 @@ pub fn dice(a: &[bool], b: &[bool]) -> f64 {
     if n_sum == 0 { 1.0 } else { 2.0 * n_both as f64 / n_sum as f64 }
 }
 
-/// Refuses a mask that reaches the border of its volume: the organ is cut off there.
-///
-/// # Errors
-/// [`LabelError::LabelTouchesBorder`] for the side with the most voxels.
-pub fn check_clear_of_border(grid: &VoxelGrid, mask: &[bool]) -> Result<(), LabelError> {
+/// Voxels of a mask on each side of its volume: side 2 a is the low end of axis a, side 2 a + 1 the high end.
+fn count_at_border(grid: &VoxelGrid, mask: &[bool]) -> [usize; 6] {
     let mut n_on_side = [0usize; 6];
     for (index, _) in mask.iter().enumerate().filter(|&(_, &inside)| inside) {
         let voxel = grid.voxel(index);
@@ -188,12 +195,23 @@ pub fn check_clear_of_border(grid: &VoxelGrid, mask: &[bool]) -> Result<(), Labe
             n_on_side[2 * axis + 1] += usize::from(voxel[axis] + 1 == grid.dims[axis]);
         }
     }
-    let mut worst = 0;
-    for side in 1..6 {
-        if n_on_side[side] > n_on_side[worst] {
-            worst = side;
-        }
-    }
+    n_on_side
+}
+
+/// The sides of the volume on which the mask is cut off, with the number of its voxels there.
+pub fn sides_at_border(grid: &VoxelGrid, mask: &[bool]) -> Vec<String> {
+    let n_on_side = count_at_border(grid, mask);
+    let sides = (0..6).filter(|&side| n_on_side[side] > 0);
+    sides.map(|side| format!("{}, {} voxels", side_name(grid, side), n_on_side[side])).collect()
+}
+
+/// Refuses a mask that reaches the border of its volume: the organ is cut off there.
+///
+/// # Errors
+/// [`LabelError::LabelTouchesBorder`] for the side with the most voxels.
+pub fn check_clear_of_border(grid: &VoxelGrid, mask: &[bool]) -> Result<(), LabelError> {
+    let n_on_side = count_at_border(grid, mask);
+    let worst = (0..6).fold(0, |worst, side| if n_on_side[side] > n_on_side[worst] { side } else { worst });
     if n_on_side[worst] == 0 {
         return Ok(());
     }

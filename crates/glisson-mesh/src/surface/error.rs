@@ -25,7 +25,7 @@ pub enum SurfaceError {
     /// The organ is cut off by the end of the image.
     #[error(
         "the label touches the {side} end of image axis {axis} with {n_voxels} voxels: the organ is cut off \
-         there. Use an image that holds all of it, or allow a flat cap"
+         there. Use an image that holds all of it, or allow a flat face (`glisson mesh --cut-at-border`)"
     )]
     TouchesBorder {
         /// Image axis: i, j or k.

@@ -465,3 +465,27 @@ proptest! {
         }
     }
 }
+
+// ---- Folders of masks --------------------------------------------------------------------------------
+
+#[test]
+fn a_folder_of_masks_is_one_label_map_named_after_its_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let mask = |voxels: &[usize]| {
+        let grid = oblique_grid(false);
+        let labels = (0..grid.n_voxels()).map(|v| u16::from(voxels.contains(&v))).collect();
+        LabelMap { grid, labels, names: Vec::new(), colours: Vec::new() }
+    };
+    write_label_map(&folder.path().join("spleen.nii.gz"), &mask(&[5, 6])).unwrap();
+    write_label_map(&folder.path().join("liver.nii.gz"), &mask(&[0, 1, 5])).unwrap();
+    let image = read_image(folder.path()).unwrap();
+    let map = image.label_map().unwrap();
+    assert_eq!(map.names, [(1, "liver".to_string()), (2, "spleen".to_string())]);
+    assert_eq!(map.labels[..7], [1, 1, 0, 0, 0, 2, 2]);
+    assert!(image.notes.iter().any(|note| note.contains("overlap in 1 voxels")), "{:?}", image.notes);
+    let mut moved = mask(&[1]);
+    moved.grid.origin_m.x += 1e-3;
+    write_label_map(&folder.path().join("stomach.nii.gz"), &moved).unwrap();
+    let error = read_image(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("`stomach`") && error.contains("one grid"), "{error}");
+}

@@ -1,5 +1,7 @@
 //! All integration tests of the crate in one binary: it links once.
 
+#[cfg(feature = "dicom")]
+mod image_dicom;
 mod image_files;
 mod image_nifti;
 mod images;

@@ -12,6 +12,7 @@
 //! Source: DICOM PS3.3 2024 (C.7.6.2 image plane, C.7.6.16 functional groups, C.8.20 segmentation), PS3.5.
 
 mod frames;
+mod lengths;
 mod pixels;
 mod segmentation;
 mod series;

@@ -86,7 +86,7 @@ enum Coding {
 }
 
 /// Explicit VR, big endian: retired, but on discs.
-const EXPLICIT_VR_BIG_ENDIAN: &str = "1.2.840.10008.1.2.2";
+pub(super) const EXPLICIT_VR_BIG_ENDIAN: &str = "1.2.840.10008.1.2.2";
 
 const CODINGS: &[(&str, Coding)] = &[
     (uids::IMPLICIT_VR_LITTLE_ENDIAN, Coding::Plain),

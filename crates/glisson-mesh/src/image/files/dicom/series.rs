@@ -9,6 +9,7 @@ use dicom_object::{DefaultDicomObject, OpenFileOptions};
 
 use super::super::error::ImageError;
 use super::frames::{integer, text};
+use super::lengths::check_lengths;
 
 /// Which series of a folder is meant.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -70,6 +71,7 @@ impl Series {
 
 /// The object in a file, up to its pixels or whole.
 pub(super) fn open(file: &Path, with_pixels: bool) -> Result<DefaultDicomObject, ImageError> {
+    check_lengths(file)?;
     let options = OpenFileOptions::new();
     let options = if with_pixels { options } else { options.read_until(tags::PIXEL_DATA) };
     options.open_file(file).map_err(|error| {

@@ -1,0 +1,120 @@
+//! Images and shapes as a careless user hands them over.
+
+use std::path::Path;
+
+use super::{glisson, refuses};
+
+/// A block of labels of `n` voxels of 5 mm, with a ball of label 1 and its other half of label 2, as text.
+fn ball(folder: &Path, name: &str, center: [i32; 3]) {
+    const N: i32 = 16;
+    let mut text = format!(
+        "NRRD0004\ntype: uchar\ndimension: 3\nspace: LPS\nsizes: {N} {N} {N}\nspace directions: (5,0,0) (0,5,0) (0,0,5)\n\
+         encoding: text\nspace origin: (-40,-40,-40)\nSegment0_ID:=a\nSegment0_Name:=kidney\nSegment0_LabelValue:=1\n\
+         Segment1_ID:=b\nSegment1_Name:=cyst\nSegment1_LabelValue:=2\n\n"
+    );
+    for voxel in 0..N * N * N {
+        let place = [voxel % N, voxel / N % N, voxel / N / N];
+        let squared: i32 = (0..3).map(|a| (place[a] - center[a]).pow(2)).sum();
+        let label = if squared > 30 { 0 } else { 1 + i32::from(place[0] > center[0]) };
+        text += &format!("{label} ");
+    }
+    std::fs::write(folder.join(name), text).unwrap();
+}
+
+fn says(folder: &Path, arguments: &[&str]) -> (String, String) {
+    let output = glisson(folder, arguments);
+    let (said, warned) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert_eq!(output.status.code(), Some(0), "glisson {}: {warned}", arguments.join(" "));
+    (said.into_owned(), warned.into_owned())
+}
+
+#[test]
+fn an_import_says_what_is_there_and_writes_it() {
+    let folder = tempfile::tempdir().unwrap();
+    ball(folder.path(), "a.nrrd", [8, 8, 8]);
+    let (said, _) = says(folder.path(), &["import", "a.nrrd", "-o", "b.nii.gz"]);
+    for words in [
+        "NRRD",
+        "16 x 16 x 16 of 5.000",
+        "i to left, j to posterior, k to superior",
+        "1    kidney",
+        "2    cyst",
+    ] {
+        assert!(said.contains(words), "no `{words}` in {said}");
+    }
+    let (said, _) = says(folder.path(), &["import", "b.nii.gz", "--json"]);
+    let answer: serde_json::Value = serde_json::from_str(&said).unwrap();
+    assert_eq!(answer["contents"]["labels"][1]["name"], "cyst");
+    // One name, or several with a plus between them.
+    let (said, _) = says(
+        folder.path(),
+        &["mesh", "b.nii.gz", "--label", "kidney+cyst", "--tetrahedra", "300", "-o", "b.vtu"],
+    );
+    assert!(said.contains("label        kidney + cyst"), "{said}");
+}
+
+#[test]
+fn what_cannot_be_imported_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    ball(folder.path(), "a.nrrd", [8, 8, 8]);
+    std::fs::write(folder.path().join("notes.txt"), "nothing").unwrap();
+    std::fs::create_dir(folder.path().join("empty")).unwrap();
+    for (arguments, expected) in [
+        (&["import", "none.nrrd"][..], &["none.nrrd", "cannot be read"][..]),
+        (&["import", "notes.txt"], &["notes.txt", "begins with \"nothing\"", ".nii.gz"]),
+        (&["import", "empty"], &["empty", "no DICOM image found among 0 file(s)"]),
+        (&["import", "a.nrrd", "-o", "b.png"], &["b.png", "must end in one of .nii, .nii.gz"]),
+        (
+            &["mesh", "a.nrrd", "--label", "liver", "-o", "b.vtu"],
+            &["no label named `liver`", "1 (kidney), 2 (cyst)"],
+        ),
+        (&["mesh", "a.nrrd", "--unit", "cm", "-o", "b.vtu"], &["a.nrrd", "--unit is for surfaces"]),
+    ] {
+        refuses(folder.path(), arguments, expected);
+    }
+}
+
+#[test]
+fn an_organ_that_the_border_cuts_off_is_closed_when_asked() {
+    let folder = tempfile::tempdir().unwrap();
+    ball(folder.path(), "a.nrrd", [8, 8, 2]);
+    let mesh = ["mesh", "a.nrrd", "--label", "kidney+cyst", "--tetrahedra", "300", "-o", "b.vtu"];
+    refuses(folder.path(), &mesh, &["--cut-at-border"]);
+    let (said, _) = says(folder.path(), &[&mesh[..], &["--cut-at-border"]].concat());
+    assert!(said.contains("closed with a flat face at k = 0 (inferior)"), "{said}");
+}
+
+#[test]
+fn a_surface_in_another_unit_is_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    ball(folder.path(), "a.nrrd", [8, 8, 8]);
+    let all = [
+        "mesh",
+        "a.nrrd",
+        "--label",
+        "kidney+cyst",
+        "--tetrahedra",
+        "300",
+        "-o",
+        "b.vtu",
+        "--surface-out",
+        "b.obj",
+    ];
+    says(folder.path(), &all);
+    // The same numbers, but in metres.
+    let text = std::fs::read_to_string(folder.path().join("b.obj")).unwrap();
+    let in_metres = text.lines().map(|line| match line.strip_prefix("v ") {
+        Some(numbers) => {
+            let scaled =
+                numbers.split_whitespace().map(|n| format!("{}", n.parse::<f64>().unwrap() / 1000.0));
+            format!("v {}\n", scaled.collect::<Vec<_>>().join(" "))
+        }
+        None => format!("{line}\n"),
+    });
+    std::fs::write(folder.path().join("m.obj"), in_metres.collect::<String>()).unwrap();
+    let (_, warned) = says(folder.path(), &["check", "m.obj"]);
+    assert!(warned.contains("organs have 1 ml to 20 l") && warned.contains("--unit m"), "{warned}");
+    let (_, warned) = says(folder.path(), &["check", "m.obj", "--unit", "m"]);
+    assert!(warned.is_empty(), "{warned}");
+    says(folder.path(), &["mesh", "m.obj", "--unit", "m", "--tetrahedra", "300", "-o", "m.vtu"]);
+}

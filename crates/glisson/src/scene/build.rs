@@ -144,7 +144,8 @@ fn read_material(source: &MaterialSource) -> Result<(LinearElastic, String), Bui
 
 /// The mesh of an organ; its path is relative to `folder`.
 pub(super) fn read_organ_mesh(source: &OrganSource, folder: &Path) -> Result<TetMesh, BuildError> {
-    let policy = ImportPolicy { faults: FaultAction::Refuse, ..ImportPolicy::default() };
+    let policy =
+        ImportPolicy { faults: FaultAction::Refuse, unit: source.mesh_unit, ..ImportPolicy::default() };
     Ok(read_mesh_with(&folder.join(&source.mesh), &policy)?.0)
 }
 

@@ -11,7 +11,7 @@ use crate::model::nonlinear_tensor_mass::Fibre;
 use crate::model::quasi_nonlinear::{GREATEST_DEGREE, LEAST_DEGREE};
 use crate::model::{MeasuredSample, Rayleigh};
 use crate::tool::fracture::FractureEnergy;
-use crate::units::Dimension;
+use crate::units::{Dimension, LengthUnit};
 use crate::world::spec::{ForceField, Ligament, Load, LoadTime, Region, Support};
 use std::path::PathBuf;
 
@@ -45,6 +45,8 @@ pub struct OrganZone {
 pub struct OrganSource {
     /// Tetrahedral mesh, relative to the scene's folder.
     pub mesh: PathBuf,
+    /// What the numbers in the mesh file are in.
+    pub mesh_unit: LengthUnit,
     /// Elasticity and density.
     pub material: MaterialSource,
     /// Which law the models that have a choice follow; each its own when absent.
@@ -106,8 +108,16 @@ pub struct OrganSurroundings {
     pub fields: Vec<ForceField>,
 }
 
+/// What the numbers in the mesh file are in: millimetres unless it is said.
+fn read_mesh_unit(section: &mut Section<'_>) -> Result<LengthUnit, SceneError> {
+    let Some((name, at)) = section.string("mesh_unit")? else { return Ok(LengthUnit::default()) };
+    let allowed = LengthUnit::ALL.map(LengthUnit::name).join(", ");
+    name.parse().map_err(|_| section.wrong_value(at, "mesh_unit", format!("\"{name}\""), &allowed))
+}
+
 pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, OrganSurroundings), SceneError> {
     let mesh = section.string("mesh")?.ok_or_else(|| section.missing("mesh", "mesh = \"liver.vtu\""))?;
+    let mesh_unit = read_mesh_unit(&mut section)?;
     let material = read_material(&mut section)?;
     let names = ModelKind::ALL.map(ModelKind::name).join(", ");
     let (model_name, at) =
@@ -139,6 +149,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
     section.finish()?;
     let organ = OrganSource {
         mesh: mesh.0.into(),
+        mesh_unit,
         material,
         law,
         relaxation,

@@ -21,6 +21,7 @@
 
 mod propagation;
 
+pub(crate) use self::propagation::well_composed_blocks;
 use self::propagation::{Crop, Direction, chamfer_distances, components, propagate};
 use super::VoxelGrid;
 

@@ -4,6 +4,7 @@ use super::TriMesh;
 use super::error::{Place, SurfaceError};
 use super::intersect::self_intersections;
 use super::normals::area_m2;
+use super::winding::solid_angle_sr;
 use crate::disjoint_sets::DisjointSets;
 use crate::math::{Aabb, DVec3};
 
@@ -106,32 +107,26 @@ impl Pieces {
         self.list.iter().enumerate().filter(around).count()
     }
 
-    /// How often piece `label` goes around `point`: its solid angle over 4 pi (A. van Oosterom and
-    /// J. Strackee, "The solid angle of a plane triangle", 1983, doi 10.1109/TBME.1983.325207).
+    /// How often piece `label` goes around `point`.
     fn winding_number(&self, mesh: &TriMesh, label: usize, point: DVec3) -> f64 {
-        let mut angle = 0.0;
-        for (t, _) in self.labels.iter().enumerate().filter(|&(_, &l)| l as usize == label) {
-            let [a, b, c] = mesh.corners_m(t).map(|p| p - point);
-            let (la, lb, lc) = (a.length(), b.length(), c.length());
-            let below = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
-            angle += 2.0 * libm::atan2(a.dot(b.cross(c)), below);
-        }
-        angle / (4.0 * std::f64::consts::PI)
+        let own = self.labels.iter().enumerate().filter(|&(_, &l)| l as usize == label);
+        let angles = own.map(|(t, _)| solid_angle_sr(point, mesh.corners_m(t)));
+        angles.sum::<f64>() / (4.0 * std::f64::consts::PI)
     }
 }
 
 /// One side of a triangle, its vertices ascending.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Side {
-    low: u32,
-    high: u32,
-    triangle: u32,
+pub(super) struct Side {
+    pub(super) low: u32,
+    pub(super) high: u32,
+    pub(super) triangle: u32,
     /// The triangle runs from `low` to `high`.
-    ascending: bool,
+    pub(super) ascending: bool,
 }
 
 /// Every side of every triangle, in ascending order, so that those of one edge stand together.
-fn sorted_sides(mesh: &TriMesh) -> Vec<Side> {
+pub(super) fn sorted_sides(mesh: &TriMesh) -> Vec<Side> {
     let mut sides = Vec::with_capacity(3 * mesh.triangles.len());
     for (t, triangle) in mesh.triangles.iter().enumerate() {
         for c in 0..3 {
@@ -226,6 +221,19 @@ fn check_manifold(mesh: &TriMesh) -> Result<Pieces, SurfaceError> {
 }
 
 fn check_triangles(mesh: &TriMesh) -> Result<(), SurfaceError> {
+    check_numbers(mesh)?;
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        let corners_m = mesh.corners_m(t);
+        if has_no_area(corners_m) {
+            let place = Place(corners_m[0]);
+            return Err(SurfaceError::Degenerate { triangle: t, vertices: *triangle, place });
+        }
+    }
+    Ok(())
+}
+
+/// Checks that there are triangles, that their vertices exist and that all coordinates are finite.
+pub(super) fn check_numbers(mesh: &TriMesh) -> Result<(), SurfaceError> {
     if mesh.triangles.is_empty() {
         return Err(SurfaceError::Empty);
     }
@@ -237,16 +245,17 @@ fn check_triangles(mesh: &TriMesh) -> Result<(), SurfaceError> {
         if let Some(&vertex) = triangle.iter().find(|&&v| v as usize >= n_vertices) {
             return Err(SurfaceError::NoSuchVertex { triangle: t, vertex, n_vertices });
         }
-        let [a, b, c] = mesh.corners_m(t);
-        let longest = (b - a).length().max((c - b).length()).max((a - c).length());
-        let doubled_area = (b - a).cross(c - a).length();
-        let relative_height = doubled_area / (longest * longest);
-        // Overflow and 0 / 0 give NaN.
-        if relative_height.is_nan() || relative_height <= SMALLEST_RELATIVE_HEIGHT {
-            return Err(SurfaceError::Degenerate { triangle: t, vertices: *triangle, place: Place(a) });
-        }
     }
     Ok(())
+}
+
+/// Whether a triangle's smallest height is too small against its longest edge for a normal.
+pub(super) fn has_no_area([a, b, c]: [DVec3; 3]) -> bool {
+    let longest = (b - a).length().max((c - b).length()).max((a - c).length());
+    let doubled_area = (b - a).cross(c - a).length();
+    let relative_height = doubled_area / (longest * longest);
+    // Overflow and 0 / 0 give NaN.
+    relative_height.is_nan() || relative_height <= SMALLEST_RELATIVE_HEIGHT
 }
 
 /// Checks that the corners at each vertex are one set; answers the number of used vertices.

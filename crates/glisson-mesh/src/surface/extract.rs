@@ -314,7 +314,11 @@ fn smooth(
 
 /// Moves vertices of crossing triangles and their surroundings towards `safe_m` until none cross; answers how
 /// many were moved.
-fn untangle(mesh: &mut TriMesh, safe_m: &[DVec3], graph: &EdgeGraph) -> Result<usize, SurfaceError> {
+pub(super) fn untangle(
+    mesh: &mut TriMesh,
+    safe_m: &[DVec3],
+    graph: &EdgeGraph,
+) -> Result<usize, SurfaceError> {
     let smooth_m = mesh.positions_m.clone();
     // 1: smooth, 0: safe.
     let mut share = vec![1.0f64; smooth_m.len()];

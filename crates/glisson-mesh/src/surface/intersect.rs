@@ -8,10 +8,8 @@
 use robust::{Coord, Coord3D, orient2d, orient3d};
 
 use super::TriMesh;
-use crate::math::{Aabb, DVec3};
-
-/// Triangles of one leaf of the tree.
-const LEAF_SIZE: usize = 6;
+use super::box_tree::{BoxTree, overlap};
+use crate::math::DVec3;
 
 /// Up to `limit` pairs of intersecting triangles of `mesh`, each ascending, the list ascending. Without a
 /// limit that is reached, it holds all of them.
@@ -56,63 +54,6 @@ pub fn self_intersections(mesh: &TriMesh, limit: usize) -> Vec<[u32; 2]> {
     found.sort_unstable();
     found.truncate(limit);
     found
-}
-
-fn overlap(a: &Aabb, b: &Aabb) -> bool {
-    a.min_m.cmple(b.max_m).all() && b.min_m.cmple(a.max_m).all()
-}
-
-struct Node {
-    bounds: Aabb,
-    /// Range of `order`.
-    first: u32,
-    end: u32,
-    children: Option<[u32; 2]>,
-}
-
-struct BoxTree {
-    nodes: Vec<Node>,
-    order: Vec<u32>,
-    boxes: Vec<Aabb>,
-}
-
-impl BoxTree {
-    fn of_triangles(mesh: &TriMesh) -> Self {
-        let boxes: Vec<Aabb> =
-            (0..mesh.triangles.len()).map(|t| Aabb::of_points(&mesh.corners_m(t))).collect();
-        let n = u32::try_from(boxes.len()).expect("meshes have fewer than 2^32 triangles");
-        let mut tree = Self { nodes: Vec::new(), order: (0..n).collect(), boxes };
-        if n > 0 {
-            tree.split(0, n as usize);
-        }
-        tree
-    }
-
-    fn split(&mut self, first: usize, end: usize) -> u32 {
-        let boxes = &self.boxes;
-        let mut bounds = Aabb::EMPTY;
-        let mut centres = Aabb::EMPTY;
-        for &t in &self.order[first..end] {
-            let b = &boxes[t as usize];
-            bounds = bounds.including(b.min_m).including(b.max_m);
-            centres = centres.including(b.center_m());
-        }
-        let id = self.nodes.len();
-        self.nodes.push(Node { bounds, first: first as u32, end: end as u32, children: None });
-        if end - first > LEAF_SIZE {
-            let size = centres.size_m();
-            let axis = (0..3).max_by(|&a, &b| size[a].total_cmp(&size[b])).expect("three axes");
-            let middle = (end - first) / 2;
-            self.order[first..end].select_nth_unstable_by(middle, |&s, &t| {
-                let centre = |t: u32| boxes[t as usize].min_m[axis] + boxes[t as usize].max_m[axis];
-                centre(s).total_cmp(&centre(t)).then(s.cmp(&t))
-            });
-            let left = self.split(first, first + middle);
-            let right = self.split(first + middle, end);
-            self.nodes[id].children = Some([left, right]);
-        }
-        id as u32
-    }
 }
 
 /// Whether triangles `s` and `t` meet anywhere but in the vertices or the edge they share by index.

@@ -3,11 +3,14 @@
 pub mod signed_distance;
 pub mod error;
 pub mod normals;
+mod box_tree;
 pub mod intersect;
+pub mod winding;
 pub mod check;
 pub mod smooth;
 pub mod decimate;
 pub mod extract;
+pub mod repair;
 pub mod files;
 
 use crate::math::DVec3;

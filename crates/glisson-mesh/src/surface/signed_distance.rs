@@ -85,6 +85,21 @@ impl SignedDistance {
     /// # Errors
     /// [`SignedDistanceError`] for a surface without triangles or with wrong numbers, or too fine a grid.
     pub fn of_surface(surface: &TriMesh, spacing_m: f64, margin_m: f64) -> Result<Self, SignedDistanceError> {
+        let mut field = Self::unsigned_band(surface, spacing_m, margin_m)?;
+        field.sweep();
+        field.set_signs(surface);
+        Ok(field)
+    }
+
+    /// Distances [m] without sign, exact within [`BAND_CELLS`] cells of `surface`, infinite elsewhere.
+    ///
+    /// # Errors
+    /// As [`SignedDistance::of_surface`].
+    pub(super) fn unsigned_band(
+        surface: &TriMesh,
+        spacing_m: f64,
+        margin_m: f64,
+    ) -> Result<Self, SignedDistanceError> {
         check_input(surface, spacing_m)?;
         let bounds_m = Aabb::of_points(&surface.positions_m).grown(margin_m.max(2.0 * spacing_m));
         let size = bounds_m.size_m() / spacing_m;
@@ -102,8 +117,6 @@ impl SignedDistance {
         let mut field =
             Self { dims, spacing_m, origin_m: bounds_m.min_m, values_m: vec![f64::INFINITY; n_nodes] };
         field.measure_band(surface);
-        field.sweep();
-        field.set_signs(surface);
         Ok(field)
     }
 

@@ -17,4 +17,5 @@ mod sample_edits;
 mod sample_images;
 mod surface_files;
 mod surface_gltf;
+mod surface_repair;
 mod surfaces;

@@ -18,7 +18,7 @@ use proptest::prelude::*;
 use std::collections::BTreeMap;
 
 /// Unit sphere: an octahedron with its triangles split in four `n` times.
-fn sphere(n: usize) -> TriMesh {
+pub(crate) fn sphere(n: usize) -> TriMesh {
     let mut positions_m = vec![DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z];
     let mut triangles: Vec<[u32; 3]> =
         vec![[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];

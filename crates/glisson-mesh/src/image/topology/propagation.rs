@@ -478,7 +478,7 @@ fn is_simple(around: u32) -> bool {
 
 /// For each pattern of a 2 x 2 x 2 block (bit x + 2 y + 4 z): whether its voxels, and its empty places, are
 /// each joined by faces.
-fn well_composed_blocks() -> [bool; 256] {
+pub(crate) fn well_composed_blocks() -> [bool; 256] {
     let joined = |bits: u8| {
         let mut reached = bits & bits.wrapping_neg();
         loop {

@@ -1,0 +1,119 @@
+//! A tree of boxes over the triangles of a mesh, halved at the median of the longest side.
+
+use super::TriMesh;
+use crate::math::{Aabb, DVec3, closest_point_barycentric};
+
+/// Triangles of one leaf of the tree.
+const LEAF_SIZE: usize = 6;
+
+/// Nodes that wait while the tree is walked depth first: one a level and one more. Halving 2^32 triangles
+/// takes 32 levels.
+pub(super) const DEEPEST: usize = 64;
+
+/// Whether two boxes have a point in common.
+pub(super) fn overlap(a: &Aabb, b: &Aabb) -> bool {
+    a.min_m.cmple(b.max_m).all() && b.min_m.cmple(a.max_m).all()
+}
+
+/// One box of the tree.
+pub(super) struct BoxNode {
+    /// Around the node's triangles.
+    pub(super) bounds: Aabb,
+    /// Range of `order`.
+    pub(super) first: u32,
+    pub(super) end: u32,
+    pub(super) children: Option<[u32; 2]>,
+}
+
+/// Boxes around halves of halves of a mesh's triangles, down to a few triangles.
+pub(super) struct BoxTree {
+    /// The root first, a node before its children.
+    pub(super) nodes: Vec<BoxNode>,
+    /// Triangles, those of a node next to each other.
+    pub(super) order: Vec<u32>,
+    /// Box of each triangle.
+    pub(super) boxes: Vec<Aabb>,
+}
+
+impl BoxTree {
+    /// The tree of all triangles of `mesh`; no node without triangles.
+    pub(super) fn of_triangles(mesh: &TriMesh) -> Self {
+        let boxes: Vec<Aabb> =
+            (0..mesh.triangles.len()).map(|t| Aabb::of_points(&mesh.corners_m(t))).collect();
+        let n = u32::try_from(boxes.len()).expect("meshes have fewer than 2^32 triangles");
+        let mut tree = Self { nodes: Vec::new(), order: (0..n).collect(), boxes };
+        if n > 0 {
+            tree.split(0, n as usize);
+        }
+        tree
+    }
+
+    fn split(&mut self, first: usize, end: usize) -> u32 {
+        let boxes = &self.boxes;
+        let mut bounds = Aabb::EMPTY;
+        let mut centres = Aabb::EMPTY;
+        for &t in &self.order[first..end] {
+            let b = &boxes[t as usize];
+            bounds = bounds.including(b.min_m).including(b.max_m);
+            centres = centres.including(b.center_m());
+        }
+        let id = self.nodes.len();
+        self.nodes.push(BoxNode { bounds, first: first as u32, end: end as u32, children: None });
+        if end - first > LEAF_SIZE {
+            let size = centres.size_m();
+            let axis = (0..3).max_by(|&a, &b| size[a].total_cmp(&size[b])).expect("three axes");
+            let middle = (end - first) / 2;
+            self.order[first..end].select_nth_unstable_by(middle, |&s, &t| {
+                let centre = |t: u32| boxes[t as usize].min_m[axis] + boxes[t as usize].max_m[axis];
+                centre(s).total_cmp(&centre(t)).then(s.cmp(&t))
+            });
+            let left = self.split(first, first + middle);
+            let right = self.split(first + middle, end);
+            self.nodes[id].children = Some([left, right]);
+        }
+        id as u32
+    }
+
+    /// The point of `mesh`, the tree's own, that is closest to `point_m`, if one is within `reach_m`: its
+    /// triangle, itself and its distance [m].
+    pub(super) fn closest(&self, mesh: &TriMesh, point_m: DVec3, reach_m: f64) -> Option<(u32, DVec3, f64)> {
+        let mut best = None;
+        let mut best_squared = reach_m * reach_m;
+        let mut pending = [0u32; DEEPEST];
+        let mut n_pending = usize::from(!self.nodes.is_empty());
+        while n_pending > 0 {
+            n_pending -= 1;
+            let node = &self.nodes[pending[n_pending] as usize];
+            if squared_distance(&node.bounds, point_m) > best_squared {
+                continue;
+            }
+            let Some([l, r]) = node.children else {
+                for &t in &self.order[node.first as usize..node.end as usize] {
+                    if squared_distance(&self.boxes[t as usize], point_m) > best_squared {
+                        continue;
+                    }
+                    let corners_m = mesh.corners_m(t as usize);
+                    let weights = closest_point_barycentric(point_m, corners_m);
+                    let at_m: DVec3 = corners_m.iter().zip(weights).map(|(&p, w)| w * p).sum();
+                    let squared = at_m.distance_squared(point_m);
+                    if squared < best_squared || (best.is_none() && squared <= best_squared) {
+                        best_squared = squared;
+                        best = Some((t, at_m));
+                    }
+                }
+                continue;
+            };
+            let [near, far] = [l, r].map(|n| squared_distance(&self.nodes[n as usize].bounds, point_m));
+            // The nearer one on top.
+            let pair = if near <= far { [r, l] } else { [l, r] };
+            pending[n_pending..n_pending + 2].copy_from_slice(&pair);
+            n_pending += 2;
+        }
+        best.map(|(t, at_m)| (t, at_m, best_squared.sqrt()))
+    }
+}
+
+/// Squared distance [m2] from a point to a box: 0 inside.
+fn squared_distance(bounds: &Aabb, point_m: DVec3) -> f64 {
+    point_m.clamp(bounds.min_m, bounds.max_m).distance_squared(point_m)
+}

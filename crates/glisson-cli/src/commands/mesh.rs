@@ -11,10 +11,13 @@ use glisson::mesh::generate::{MAX_TETRAHEDRA, MIN_TETRAHEDRA, MeshParams, MeshPl
 use glisson::mesh::thin::ThinKind;
 use glisson::surface::TriMesh;
 use glisson::surface::extract::{SurfaceParams, surface_of_mask};
-use glisson::surface::files::{import_closed_surface_with, surface_extensions, write_surface};
+use glisson::surface::files::{
+    SurfaceFileError, import_closed_surface_with, surface_extensions, write_surface,
+};
 use glisson::units::LengthUnit;
 
 use super::image_input::{is_image, read_with_notes, warn_of_unit};
+use super::repair::{How, print_report as print_repair, repaired};
 
 /// Number of tetrahedra when neither a number nor a size is given.
 const DEFAULT_TETRAHEDRA: usize = 6_300;
@@ -53,6 +56,11 @@ pub(crate) struct Args {
     /// Close an organ that the border of the image cuts off with a flat face there
     #[arg(long)]
     cut_at_border: bool,
+    /// Close a surface that has holes, crossings, doubled or flipped triangles (see `glisson repair`)
+    #[arg(long)]
+    repair: bool,
+    #[command(flatten)]
+    how_to_repair: How,
     /// Unit of the numbers in a surface file, which names none (glTF: always m) [default: mm]
     #[arg(long, value_name = "mm|cm|m|inch")]
     unit: Option<LengthUnit>,
@@ -251,6 +259,12 @@ fn of_surface(args: &Args, stages: &Stages) -> anyhow::Result<Source> {
         );
     }
     let unit = args.unit.unwrap_or_default();
+    if args.repair {
+        let (surface, report) = repaired(&args.input, unit, &args.how_to_repair)?;
+        print_repair(&report);
+        warn_of_unit(&args.input, report.volume_after_m3, unit);
+        return Ok(Source { surface, volume_m3: report.volume_after_m3, volume_of: "surface" });
+    }
     let imported = stages.timed(
         "surface",
         || import_closed_surface_with(&args.input, unit),
@@ -262,7 +276,11 @@ fn of_surface(args: &Args, stages: &Stages) -> anyhow::Result<Source> {
                 t.n_triangles
             )
         },
-    )?;
+    );
+    let imported = imported.map_err(|error| match error {
+        SurfaceFileError::Surface { .. } => anyhow::anyhow!("{error:#}; `--repair` closes such surfaces"),
+        other => other.into(),
+    })?;
     for note in &imported.notes {
         println!("note         {note}");
     }

@@ -5,6 +5,7 @@ mod phantom;
 mod import;
 mod segment;
 mod mesh;
+mod repair;
 mod check;
 mod precompute;
 mod solve;
@@ -33,6 +34,7 @@ enum Command {
     Import(import::Args),
     Segment(segment::Args),
     Mesh(mesh::Args),
+    Repair(repair::Args),
     Check(check::Args),
     Precompute(precompute::Args),
     Solve(solve::Args),
@@ -54,6 +56,7 @@ pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
         Command::Import(args) => import::run(args),
         Command::Segment(args) => segment::run(args),
         Command::Mesh(args) => mesh::run(args),
+        Command::Repair(args) => repair::run(args),
         Command::Check(args) => check::run(args),
         Command::Precompute(args) => precompute::run(args),
         Command::Solve(args) => solve::run(args),

@@ -118,3 +118,37 @@ fn a_surface_in_another_unit_is_warned_of() {
     assert!(warned.is_empty(), "{warned}");
     says(folder.path(), &["mesh", "m.obj", "--unit", "m", "--tetrahedra", "300", "-o", "m.vtu"]);
 }
+
+#[test]
+fn a_surface_with_a_hole_is_meshed_when_repair_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    ball(folder.path(), "a.nrrd", [8, 8, 8]);
+    let all = [
+        "mesh",
+        "a.nrrd",
+        "--label",
+        "kidney+cyst",
+        "--tetrahedra",
+        "300",
+        "-o",
+        "b.vtu",
+        "--surface-out",
+        "b.obj",
+    ];
+    says(folder.path(), &all);
+    // Four triangles less, and one doubled.
+    let text = std::fs::read_to_string(folder.path().join("b.obj")).unwrap();
+    let (faces, others): (Vec<&str>, Vec<&str>) = text.lines().partition(|line| line.starts_with("f "));
+    let broken = [&others[..], &faces[4..], &faces[20..21]].concat().join("\n");
+    std::fs::write(folder.path().join("broken.obj"), broken + "\n").unwrap();
+    let mesh = ["mesh", "broken.obj", "--tetrahedra", "300", "-o", "c.vtu"];
+    refuses(folder.path(), &mesh, &["broken.obj", "`--repair` closes such surfaces"]);
+    let (said, _) = says(folder.path(), &[&mesh[..], &["--repair"]].concat());
+    for words in ["open edges at", "1 doubled triangles", "drawn anew on a grid", "volume"] {
+        assert!(said.contains(words), "no `{words}` in {said}");
+    }
+    let (said, _) = says(folder.path(), &["repair", "broken.obj", "-o", "closed.stl", "--json"]);
+    let report: serde_json::Value = serde_json::from_str(&said).unwrap();
+    assert_eq!(report["rebuilt"], true);
+    says(folder.path(), &["check", "closed.stl"]);
+}

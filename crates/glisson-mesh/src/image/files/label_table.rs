@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::stored::StoredImage;
+
 /// `{"label_names": {"1": "liver"}, "label_colours": {"1": [0.7, 0.3, 0.2]}}`.
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct LabelTable {
@@ -32,8 +34,9 @@ impl LabelTable {
         self.label_names.is_empty() && self.label_colours.is_empty()
     }
 
-    /// Names and colours, ascending by label.
-    pub(super) fn lists(self) -> (Vec<(u16, String)>, Vec<(u16, [f32; 3])>) {
-        (self.label_names.into_iter().collect(), self.label_colours.into_iter().collect())
+    /// Gives an image its names and colours, ascending by label.
+    pub(super) fn name_labels_of(self, image: &mut StoredImage) {
+        image.names = self.label_names.into_iter().collect();
+        image.colours = self.label_colours.into_iter().collect();
     }
 }

@@ -224,7 +224,7 @@ fn read(file: &Path) -> Result<StoredImage, ImageError> {
     }
     let mut image = StoredImage::new(file, FORMAT.name, grid, data);
     if let Some(table) = header.get(LABELS_KEY).and_then(|field| LabelTable::parse(field.value.as_bytes())) {
-        (image.names, image.colours) = table.lists();
+        table.name_labels_of(&mut image);
     }
     Ok(image)
 }

@@ -63,7 +63,7 @@ pub fn image_extensions(is_meant: impl Fn(&ImageFormat) -> bool) -> Vec<&'static
 pub fn format_of_name(path: &Path) -> Option<&'static ImageFormat> {
     let name = path.file_name()?.to_string_lossy().to_lowercase();
     let has = |extension: &&str| name.strip_suffix(extension).is_some_and(|start| start.ends_with('.'));
-    FORMATS.iter().find(|format| format.extensions.iter().any(|extension| has(extension)))
+    FORMATS.iter().find(|format| format.extensions.iter().any(&has))
 }
 
 /// The image in a file, or in the files of a folder: a DICOM series, or masks of organs ([`masks`]). The format of a

@@ -56,6 +56,6 @@ fn read(file: &Path) -> Result<StoredImage, ImageError> {
         ..StoredData::plain(header.voxel_type, header.order, bytes, header.data_start)
     };
     let mut image = StoredImage::new(file, FORMAT.name, header.grid, data);
-    (image.names, image.colours) = labels.lists();
+    labels.name_labels_of(&mut image);
     Ok(image)
 }

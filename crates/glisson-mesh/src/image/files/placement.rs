@@ -38,8 +38,7 @@ pub(super) fn right_angled(
     let axes = steps.map(DVec3::normalize);
     for [a, b] in [[0, 1], [0, 2], [1, 2]] {
         let cosine = axes[a].dot(axes[b]);
-        // Also for numbers that are none.
-        if !(cosine.abs() <= MAX_SHEAR) {
+        if cosine.is_nan() || cosine.abs() > MAX_SHEAR {
             let angle_deg = libm::acos(cosine.clamp(-1.0, 1.0)).to_degrees();
             return Err(ImageError::Sheared { file: file.to_path_buf(), axes: [a, b], angle_deg });
         }

@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use glisson::image::files::{
-    ImageFormat, SeriesChoice, StoredImage, format_of_name, image_extensions, read_image, read_series,
-    series_in, write_label_map, write_volume,
+    ImageFormat, StoredImage, format_of_name, image_extensions, series_in, write_label_map, write_volume,
 };
-use glisson::image::labels::{LabelSelection, check_clear_of_border};
 use glisson::image::{LabelMap, VoxelGrid};
 use glisson::math::DVec3;
 use serde_json::json;
+
+use super::image_input::read;
 
 /// Say what an image is, and write it in another format.
 ///
@@ -44,7 +44,7 @@ pub(crate) struct Args {
 }
 
 /// Numbers of different values up to which whole numbers look like labels where the file does not say.
-const MAX_LABELS: usize = 256;
+const MAX_LABELS: usize = 32;
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.list {
@@ -55,11 +55,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let allowed = image_extensions(ImageFormat::is_written).join(", .");
         ensure!(is_written, "{}: the name must end in one of .{allowed}", output.display());
     }
-    let image = match args.series {
-        Some(number) => read_series(&args.input, &SeriesChoice::Number(number))?,
-        None => read_image(&args.input)?,
-    };
-    let contents = Contents::of(&image, args.labels)?;
+    let mut image = read(&args.input, args.series)?;
+    let (contents, guess) = Contents::of(&image, args.labels)?;
+    image.notes.extend(guess);
     if let Some(output) = &args.output {
         if let Some(folder) = output.parent() {
             std::fs::create_dir_all(folder)
@@ -101,50 +99,52 @@ enum Contents {
 }
 
 impl Contents {
-    /// Labels where the file names some or says that it is a segmentation, or where all numbers are whole and few.
-    fn of(image: &StoredImage, asked: Option<bool>) -> anyhow::Result<Self> {
+    /// Labels where the file names some or says that it is a segmentation, or where all numbers are whole and few; then
+    /// also a note that it is a guess.
+    fn of(image: &StoredImage, asked: Option<bool>) -> anyhow::Result<(Self, Option<String>)> {
         let says_so = !image.names.is_empty() || image.modality.as_deref() == Some("SEG");
-        match asked {
-            Some(true) => return Ok(Self::Labels(image.label_map()?)),
-            None if says_so => return Ok(Self::Labels(image.label_map()?)),
-            None if image.modality.is_none() => {
-                if let Some(map) = image.label_map().ok().filter(|map| map.present().len() <= MAX_LABELS) {
-                    return Ok(Self::Labels(map));
-                }
-            }
-            _ => {}
+        if asked.unwrap_or(says_so) {
+            return Ok((Self::Labels(image.label_map()?), None));
+        }
+        if asked.is_none()
+            && image.modality.is_none()
+            && let Some(map) = image.label_map().ok().filter(|map| map.present().len() <= MAX_LABELS)
+        {
+            let note =
+                "taken for labels, because its numbers are whole and few; if they are values: --labels false";
+            return Ok((Self::Labels(map), Some(note.into())));
         }
         let values = image.volume().values;
         let least = values.iter().copied().fold(f32::INFINITY, f32::min);
         let most = values.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len().max(1) as f64;
-        Ok(Self::Values { least, most, mean })
+        Ok((Self::Values { least, most, mean }, None))
     }
 }
 
-/// A label, what the file calls it, its volume [m3], and on which border it is cut off.
+/// A label, what the file calls it, its volume [m3], and how many of its voxels lie at the border of the image.
 struct Organ {
     label: u16,
     name: Option<String>,
     volume_m3: f64,
-    cut_off: Option<String>,
+    n_at_border: usize,
 }
 
 fn organs_of(map: &LabelMap) -> Vec<Organ> {
-    let mut n_voxels = vec![0usize; 1 << 16];
-    for &label in &map.labels {
-        n_voxels[usize::from(label)] += 1;
+    let mut n_voxels = vec![[0usize; 2]; 1 << 16];
+    for (index, &label) in map.labels.iter().enumerate().filter(|(_, label)| **label != 0) {
+        let voxel = map.grid.voxel(index);
+        let is_at_border = (0..3).any(|a| voxel[a] == 0 || voxel[a] + 1 == map.grid.dims[a]);
+        let [n, n_at_border] = &mut n_voxels[usize::from(label)];
+        *n += 1;
+        *n_at_border += usize::from(is_at_border);
     }
-    let present = (1..=u16::MAX).filter(|&label| n_voxels[usize::from(label)] > 0);
+    let present = (1..=u16::MAX).filter(|&label| n_voxels[usize::from(label)][0] > 0);
     present
         .map(|label| {
-            let mask = map.mask(&LabelSelection { labels: vec![label] });
-            Organ {
-                label,
-                name: map.name_of(label).map(String::from),
-                volume_m3: n_voxels[usize::from(label)] as f64 * map.grid.voxel_volume_m3(),
-                cut_off: check_clear_of_border(&map.grid, &mask).err().map(|error| error.to_string()),
-            }
+            let [n, n_at_border] = n_voxels[usize::from(label)];
+            let name = map.name_of(label).map(String::from);
+            Organ { label, name, volume_m3: n as f64 * map.grid.voxel_volume_m3(), n_at_border }
         })
         .collect()
 }
@@ -182,7 +182,7 @@ fn print(args: &Args, image: &StoredImage, contents: &Contents) {
             println!("labels     {}", organs.len());
             for organ in organs {
                 let name = organ.name.unwrap_or_else(|| "(no name)".into());
-                let cut = if organ.cut_off.is_some() { ", cut off at the border of the image" } else { "" };
+                let cut = if organ.n_at_border > 0 { ", cut off at the border of the image" } else { "" };
                 println!("  {:>5}    {name}: {:.2} ml{cut}", organ.label, 1e6 * organ.volume_m3);
             }
         }
@@ -219,7 +219,7 @@ fn as_json(args: &Args, image: &StoredImage, contents: &Contents) -> serde_json:
                     "label": organ.label,
                     "name": organ.name,
                     "volume_m3": organ.volume_m3,
-                    "cut_off": organ.cut_off,
+                    "voxels_at_border": organ.n_at_border,
                 })
             });
             json!({"labels": organs.collect::<Vec<_>>()})

@@ -40,6 +40,9 @@ pub(crate) struct Args {
     /// Label map (.nii, .nii.gz, .nrrd, .seg.nrrd, .mha, .mhd, .inr, .dcm or a folder of masks) or closed surface (.stl,
     /// .obj, .ply, .vtk)
     input: PathBuf,
+    /// Which DICOM series of a folder, by its place in the list of `glisson import --list`
+    #[arg(long, value_name = "N")]
+    series: Option<usize>,
     /// Which label of a label map, by name or number; several as one organ: `liver+tumour` [default: liver, or the only
     /// label]
     #[arg(long, value_name = "NAME_OR_NUMBER")]
@@ -142,6 +145,10 @@ fn check_arguments(args: &Args) -> anyhow::Result<()> {
         ensure!(known, "{}: found the extension `{found}`, allowed: .{listed}", path.display());
         Ok(())
     };
+    ensure!(
+        args.repair || !args.how_to_repair.is_given(),
+        "--grid-mm, --smallest-feature-mm and --largest-hole say how to repair: add --repair"
+    );
     has_extension(&args.output, &extensions_of(MeshFormat::is_written))?;
     if let Some(path) = &args.surface_out {
         has_extension(path, &surface_extensions())?;
@@ -192,7 +199,7 @@ fn of_label(args: &Args, stages: &Stages) -> anyhow::Result<Source> {
     let in_input = || args.input.display().to_string();
     let map = stages.timed(
         "label map",
-        || read_with_notes(&args.input).and_then(|image| image.label_map()),
+        || read_with_notes(&args.input, args.series).and_then(|image| image.label_map()),
         |map| {
             let ([x, y, z], spacing_mm) = (map.grid.dims, 1e3 * map.grid.spacing_m);
             format!(

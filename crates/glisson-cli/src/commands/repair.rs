@@ -50,6 +50,11 @@ pub(crate) struct How {
 }
 
 impl How {
+    /// Whether anything is said.
+    pub(crate) fn is_given(&self) -> bool {
+        self.grid_mm.or(self.smallest_feature_mm).or(self.largest_hole).is_some()
+    }
+
     fn params(&self) -> RepairParams {
         let default = RepairParams::default();
         RepairParams {

@@ -26,6 +26,9 @@ use super::image_input::read_with_notes;
 pub(crate) struct Args {
     /// CT volume in Hounsfield units (a DICOM folder, .nii, .nii.gz, .nrrd, .mha, .mhd or .inr)
     ct: PathBuf,
+    /// Which DICOM series of a folder, by its place in the list of `glisson import --list`
+    #[arg(long, value_name = "N")]
+    series: Option<usize>,
     /// Label map to write (.nii, .nii.gz, .nrrd, .seg.nrrd or .mha): 1 is the organ
     #[arg(short, long, default_value = "out/labels.nii.gz")]
     output: PathBuf,
@@ -53,7 +56,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let ct = read_with_notes(&args.ct)?.volume();
+    let ct = read_with_notes(&args.ct, args.series)?.volume();
     let truth = args.truth.as_deref().map(|path| read_truth(args, path, &ct)).transpose()?;
     let params = SegmentParams { seed_m: seed_m(args, &ct.grid)?, ..SegmentParams::default() };
     let progress = indicatif::ProgressBar::new_spinner().with_message("segmenting");
@@ -125,7 +128,7 @@ fn report(args: &Args, ct: &Volume<f32>, found: &Segmentation, overlap: Option<&
 }
 
 fn read_truth(args: &Args, path: &Path, ct: &Volume<f32>) -> anyhow::Result<Vec<bool>> {
-    let map = read_with_notes(path)?.label_map()?;
+    let map = read_with_notes(path, None)?.label_map()?;
     ensure!(
         map.grid.dims == ct.grid.dims,
         "{} has {:?} voxels, {} has {:?}: the two must be on the same grid",

@@ -276,6 +276,14 @@ fn bad_elements_are_refused_with_tag_found_and_allowed() {
             ),
             &["voxels of 500 mm along axis 0", "0.001 to 100 mm"],
         ),
+        (
+            message_with(
+                tags::RESCALE_INTERCEPT,
+                Some(element(tags::RESCALE_INTERCEPT, VR::DS, PrimitiveValue::from("-1024,0"))),
+                plain,
+            ),
+            &["RescaleIntercept (tag (0028,1052)) is \"-1024,0\"", "one finite number"],
+        ),
         (message_with(tags::ROWS, short(tags::ROWS, 0), plain), &["Rows (tag (0028,0010))", "1 to 65535"]),
         (message_with(tags::ROWS, short(tags::ROWS, 65_535), plain), &["24 bytes found", "524280 expected"]),
         (message_with(tags::SAMPLES_PER_PIXEL, short(tags::SAMPLES_PER_PIXEL, 3), plain), &["colour image"]),
@@ -437,6 +445,42 @@ fn segmentations_become_label_maps_with_names_and_colours() {
         let out = folder.path().join("seg.nrrd");
         write_label_map(&out, &map).unwrap();
     }
+}
+
+#[test]
+fn planes_of_a_segmentation_are_as_far_apart_as_its_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("seg.dcm");
+    // Frames 4 mm apart: with a stated distance of 2 mm there is an empty plane between; a thickness says nothing.
+    for (stated, n_planes) in
+        [(Some((tags::SPACING_BETWEEN_SLICES, 2.0)), 3), (Some((tags::SLICE_THICKNESS, 2.0)), 2), (None, 2)]
+    {
+        let mut object = segmentation("BINARY", &[0b0011_0011, 0b1]);
+        let orientation =
+            element(tags::IMAGE_ORIENTATION_PATIENT, VR::DS, decimals(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0]));
+        let mut measures = vec![element(tags::PIXEL_SPACING, VR::DS, decimals(&[1.0, 1.0]))];
+        measures.extend(stated.map(|(tag, size)| element(tag, VR::DS, decimals(&[size]))));
+        object.put(sequence(
+            tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE,
+            vec![
+                sequence(tags::PLANE_ORIENTATION_SEQUENCE, vec![orientation]),
+                sequence(tags::PIXEL_MEASURES_SEQUENCE, measures),
+            ],
+        ));
+        save(object, uids::EXPLICIT_VR_LITTLE_ENDIAN, &path);
+        assert_eq!(read_image(&path).unwrap().grid.dims, [3, 1, n_planes], "{stated:?}");
+    }
+}
+
+#[test]
+fn a_folder_of_dicom_and_other_images_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    series(folder.path(), 3);
+    let volume = read_volume(folder.path()).unwrap();
+    write_volume(&folder.path().join("ct.nii"), &volume).unwrap();
+    let error = read_image(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("it holds DICOM and 1 other image(s)"), "{error}");
+    assert_eq!(read_series(folder.path(), &SeriesChoice::Number(1)).unwrap().grid.dims[2], 3);
 }
 
 #[test]

@@ -180,7 +180,8 @@ fn bad_nrrd_is_refused_with_line_found_and_allowed() {
         ("sizes: 2 3 1", "sizes: 2 3", &["sizes (line 6)", "3 numbers of voxels"]),
         ("sizes: 2 3 1", "sizes: 2 3 0", &["sizes (line 6)", "from 1"]),
         ("sizes: 2 3 1", "sizes: 16777216 16777216 16777216", &["sizes (line 6)"]),
-        ("sizes: 2 3 1", "sizes: 65536 65536 65536", &["12 bytes found", "562949953421312 expected"]),
+        ("sizes: 2 3 1", "sizes: 65536 65536 65536", &["sizes (line 6)", "below 2^45"]),
+        ("sizes: 2 3 1", "sizes: 65536 65536 4096", &["12 bytes found", "35184372088832 expected"]),
         ("sizes: 2 3 1", "sizes: 2 3 2", &["12 bytes found", "24 expected"]),
         ("space: right-anterior-superior\n", "", &["no `space`", "which side is left"]),
         ("right-anterior-superior", "3D-right-handed", &["space (line 5)", "left-posterior-superior"]),
@@ -228,6 +229,27 @@ fn segments_of_several_layers_become_one_label_map() {
     std::fs::write(&path, [beyond.as_bytes(), &[1, 0, 1, 1, 0, 0]].concat()).unwrap();
     let error = read_image(&path).unwrap_err().to_string();
     assert!(error.contains("Segment1_Layer (line 18)") && error.contains("0 to 1"), "{error}");
+}
+
+#[test]
+fn layers_of_old_files_are_zeros_and_ones_and_layers_of_nothing_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.nrrd");
+    let header = "NRRD0004\ntype: unsigned char\ndimension: 4\nspace: LPS\nsizes: 2 3 1 1\n\
+        space directions: none (1,0,0) (0,1,0) (0,0,1)\nkinds: list domain domain domain\nencoding: raw\nNAMES\n";
+    // Before layers had numbers: a component for each segment.
+    let names =
+        "Segment0_ID:=Segment_1\nSegment0_Name:=liver\nSegment1_ID:=Segment_2\nSegment1_Name:=tumour\n";
+    std::fs::write(&path, [header.replace("NAMES\n", names).as_bytes(), b"\n", &[1, 0, 0, 1, 0, 7]].concat())
+        .unwrap();
+    let image = read_image(&path).unwrap();
+    assert_eq!(image.label_map().unwrap().labels, [1, 2, 0]);
+    assert!(image.notes[0].contains("1 numbers that no segment has"), "{:?}", image.notes);
+    // A series of images.
+    std::fs::write(&path, [header.replace("NAMES\n", "").as_bytes(), b"\n", &[1, 0, 0, 1, 0, 7]].concat())
+        .unwrap();
+    let error = read_image(&path).unwrap_err().to_string();
+    assert!(error.contains("sizes (line 5)") && error.contains("one volume a file"), "{error}");
 }
 
 // ---- MetaImage ---------------------------------------------------------------------------------------
@@ -292,7 +314,7 @@ fn bad_metaimage_is_refused_with_line_found_and_allowed() {
         ("ObjectType = Image", "ObjectType = Tube", &["ObjectType (line 1)", "Image"]),
         ("DimSize = 2 3 1", "DimSize = 2 3", &["DimSize (line 10)", "3 numbers"]),
         ("DimSize = 2 3 1", "DimSize = 2 3 9", &["12 bytes found", "108 expected"]),
-        ("DimSize = 2 3 1", "DimSize = 65536 65536 65536", &["12 bytes found"]),
+        ("DimSize = 2 3 1", "DimSize = 65536 65536 4096", &["12 bytes found"]),
         ("ElementSpacing = 2 3 4", "ElementSpacing = 2 -3 4", &["ElementSpacing (line 9)", "above 0"]),
         ("ElementSpacing = 2 3 4", "ElementSpacing = 2 3 nan", &["ElementSpacing (line 9)", "3 finite"]),
         ("ElementSpacing = 2 3 4", "ElementSpacing = 2 3 4000", &["4000 mm along axis 2"]),
@@ -483,6 +505,12 @@ fn a_folder_of_masks_is_one_label_map_named_after_its_files() {
     assert_eq!(map.names, [(1, "liver".to_string()), (2, "spleen".to_string())]);
     assert_eq!(map.labels[..7], [1, 1, 0, 0, 0, 2, 2]);
     assert!(image.notes.iter().any(|note| note.contains("overlap in 1 voxels")), "{:?}", image.notes);
+    let mut several = mask(&[1]);
+    several.labels[3] = 2;
+    write_label_map(&folder.path().join("ct.nii.gz"), &several).unwrap();
+    let error = read_image(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("`ct` holds several numbers"), "{error}");
+    std::fs::remove_file(folder.path().join("ct.nii.gz")).unwrap();
     let mut moved = mask(&[1]);
     moved.grid.origin_m.x += 1e-3;
     write_label_map(&folder.path().join("stomach.nii.gz"), &moved).unwrap();

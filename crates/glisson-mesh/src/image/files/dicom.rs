@@ -49,6 +49,12 @@ pub(super) fn read(path: &Path, choice: &SeriesChoice) -> Result<StoredImage, Im
     Ok(image)
 }
 
+/// Whether one of the files right in a folder is DICOM.
+pub(super) fn is_in(folder: &Path) -> bool {
+    let Ok(entries) = std::fs::read_dir(folder) else { return false };
+    entries.filter_map(Result::ok).any(|entry| series::is_dicom(&entry.path()))
+}
+
 /// The image series in a folder and the folders in it, in the order of their numbers.
 ///
 /// # Errors

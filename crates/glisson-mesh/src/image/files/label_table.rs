@@ -36,7 +36,7 @@ impl LabelTable {
 
     /// Gives an image its names and colours, ascending by label.
     pub(super) fn name_labels_of(self, image: &mut StoredImage) {
-        image.names = self.label_names.into_iter().collect();
-        image.colours = self.label_colours.into_iter().collect();
+        image.names = self.label_names.into_iter().filter(|(label, _)| *label != 0).collect();
+        image.colours = self.label_colours.into_iter().filter(|(label, _)| *label != 0).collect();
     }
 }

@@ -31,17 +31,33 @@ fn organ_name(file: &Path) -> String {
     name.split('.').next().unwrap_or_default().to_owned()
 }
 
+/// Whether an image has one number beside 0, or none, and names no labels.
+fn is_mask(image: &StoredImage) -> bool {
+    let mut inside = None;
+    let same = image.data.for_each(|_, value| match inside {
+        _ if value == 0.0 => Ok(()),
+        None => {
+            inside = Some(value);
+            Ok(())
+        }
+        Some(other) if other == value => Ok(()),
+        Some(_) => Err(()),
+    });
+    image.names.is_empty() && same.is_ok()
+}
+
 fn same_place(a: &VoxelGrid, b: &VoxelGrid) -> bool {
     let far_m =
         a.bounds_m().min_m.distance(b.bounds_m().min_m) + a.bounds_m().max_m.distance(b.bounds_m().max_m);
     a.dims == b.dims && far_m <= MAX_SHIFT * a.spacing_m.min_element()
 }
 
-/// The label map of the masks in `files`, each read by `read`; any number but 0 is inside. Where two organs lie on
-/// each other the later one is taken, and a note says in how many voxels. A single file is that image.
+/// The label map of the masks in `files`, each read by `read`: zeros, and one other number inside. Where two organs lie
+/// on each other the later one is taken, and a note says in how many voxels. A single file that is no mask is that image.
 ///
 /// # Errors
-/// A file that cannot be read; files that are not on one grid; more files than there are labels.
+/// A file that cannot be read, or among several one that is no mask; files that are not on one grid; more files than
+/// there are labels.
 pub(super) fn read(
     folder: &Path,
     files: &[PathBuf],
@@ -50,7 +66,7 @@ pub(super) fn read(
     let refuse = |reason: String| Err(ImageError::Series { folder: folder.to_path_buf(), reason });
     let [first, others @ ..] = files else { return refuse("no images in it".into()) };
     let first_image = read(first)?;
-    if others.is_empty() {
+    if others.is_empty() && !is_mask(&first_image) {
         return Ok(first_image);
     }
     if files.len() > usize::from(u16::MAX) {
@@ -68,6 +84,12 @@ pub(super) fn read(
                 "`{name}` has {:?} voxels at another place than `{first}` with {:?}; the masks of a folder must be on \
                  one grid (or name one file)",
                 image.grid.dims, grid.dims
+            ));
+        }
+        if !is_mask(&image) {
+            return refuse(format!(
+                "`{}` holds several numbers beside 0, a mask one: name one file, or keep masks in a folder of their own",
+                organ_name(file)
             ));
         }
         let label = n as u16 + 1;

@@ -169,7 +169,7 @@ fn read(file: &Path) -> Result<StoredImage, ImageError> {
 
     let data_field = header.required("ElementDataFile")?;
     let (data_file, bytes, mut start) = match data_field.value.as_str() {
-        "LOCAL" => (file.to_path_buf(), bytes, end),
+        name if name.eq_ignore_ascii_case("LOCAL") => (file.to_path_buf(), bytes, end),
         "LIST" => {
             return Err(header.wrong(data_field, "LOCAL or one file: join the slices (e.g. with SimpleITK)"));
         }

@@ -53,6 +53,9 @@ pub const FORMATS: &[ImageFormat] = &[
     dicom::FORMAT,
 ];
 
+/// What people call the format whose files are slices, so that a folder of them is one image.
+const DICOM_NAME: &str = "DICOM";
+
 /// The extensions of all formats that `is_meant` picks, without their dots, in the order of the table.
 pub fn image_extensions(is_meant: impl Fn(&ImageFormat) -> bool) -> Vec<&'static str> {
     let meant = FORMATS.iter().filter(|format| is_meant(format));
@@ -64,6 +67,14 @@ pub fn format_of_name(path: &Path) -> Option<&'static ImageFormat> {
     let name = path.file_name()?.to_string_lossy().to_lowercase();
     let has = |extension: &&str| name.strip_suffix(extension).is_some_and(|start| start.ends_with('.'));
     FORMATS.iter().find(|format| format.extensions.iter().any(&has))
+}
+
+/// The format of a file: told by the end of its name, else by its first bytes.
+pub fn format_of_file(path: &Path) -> Option<&'static ImageFormat> {
+    format_of_name(path).or_else(|| {
+        let first = first_bytes(path).ok()?;
+        FORMATS.iter().find(|format| (format.begins)(&first))
+    })
 }
 
 /// The image in a file, or in the files of a folder: a DICOM series, or masks of organs ([`masks`]). The format of a
@@ -93,8 +104,19 @@ pub fn read_image(path: &Path) -> Result<StoredImage, ImageError> {
 
 /// Masks, where the files right in the folder are images of another format than DICOM; else DICOM.
 fn read_folder(folder: &Path) -> Result<StoredImage, ImageError> {
-    let masks = masks::files_in(folder, |path| format_of_name(path).is_some_and(ImageFormat::is_written))?;
+    let masks =
+        masks::files_in(folder, |path| format_of_name(path).is_some_and(|format| format.name != DICOM_NAME))?;
     if !masks.is_empty() {
+        #[cfg(feature = "dicom")]
+        if dicom::is_in(folder) {
+            return Err(ImageError::Series {
+                folder: folder.to_path_buf(),
+                reason: format!(
+                    "it holds DICOM and {} other image(s); name the file, or the series with `--series N`",
+                    masks.len()
+                ),
+            });
+        }
         return masks::read(folder, &masks, read_image);
     }
     #[cfg(feature = "dicom")]

@@ -286,7 +286,10 @@ impl DataPlan {
     fn numbers(&self, file: &Path, bytes: &[u8], start: usize) -> Result<StoredData, ImageError> {
         let mut start = start;
         for _ in 0..self.line_skip {
-            start = line_at(bytes, start).map_or(bytes.len(), |(_, next)| next);
+            match line_at(bytes, start) {
+                Some((_, next)) => start = next,
+                None => break,
+            }
         }
         let expected = (self.n_numbers * self.kind.n_bytes()) as u64;
         let mismatch = |found: u64| ImageError::SizeMismatch {
@@ -346,7 +349,7 @@ fn hexadecimal(text: &[u8], n_bytes: usize) -> Option<Vec<u8>> {
         .filter(|b| !b.is_ascii_whitespace())
         .map(|&b| char::from(b).to_digit(16).map(|digit| digit as u8))
         .collect();
-    let digits = digits.filter(|digits| digits.len() == 2 * n_bytes)?;
+    let digits = digits.filter(|digits| digits.len() % 2 == 0 && digits.len() / 2 == n_bytes)?;
     Some(digits.chunks_exact(2).map(|pair| pair[0] << 4 | pair[1]).collect())
 }
 
@@ -379,15 +382,19 @@ fn read(file: &Path) -> Result<StoredImage, ImageError> {
             plan.numbers(&path, &load(&path)?, 0)?
         }
     };
-    let mut segments = segments_of(&header)?;
+    let is_layered = n_layers > 1;
+    let mut segments = segments_of(&header, is_layered)?;
     let mut image = StoredImage::new(file, FORMAT.name, grid, data);
-    if n_layers > 1 || segments.iter().any(|segment| segment.layer > 0) {
-        let n_hidden;
-        (image.data, n_hidden, segments) = merged(&header, &image.data, n_layers, segments)?;
-        if n_hidden > 0 {
-            image
-                .notes
-                .push(format!("segments overlap in {n_hidden} voxels; the later layer was taken there"));
+    if is_layered || segments.iter().any(|segment| segment.layer > 0) {
+        let merged = merged(&header, &image.data, n_layers, segments)?;
+        image.data = merged.data;
+        segments = merged.segments;
+        if merged.n_hidden > 0 {
+            let n = merged.n_hidden;
+            image.notes.push(format!("segments overlap in {n} voxels; the later layer was taken there"));
+        }
+        if merged.n_unknown > 0 {
+            image.notes.push(format!("{} numbers that no segment has were left out", merged.n_unknown));
         }
     }
     image.names = segments.iter().map(|segment| (segment.label, segment.name.clone())).collect();

@@ -9,6 +9,9 @@ use crate::text::did_you_mean;
 /// A header is looked for in so many bytes at the beginning of a file.
 pub(super) const MAX_HEADER_BYTES: usize = 1 << 20;
 
+/// Most bytes that the numbers of an image may take: sums and products of counts stay far from overflow.
+const MAX_DATA_BYTES: u64 = 1 << 48;
+
 /// A line of a header.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Field {
@@ -87,7 +90,7 @@ impl TextHeader {
         number.ok_or_else(|| self.wrong(field, format!("a whole number from {least} to {most}")))
     }
 
-    /// Numbers of voxels; their product with eight bytes each must be a number of bytes.
+    /// Numbers of voxels, whose product with eight bytes each is below [`MAX_DATA_BYTES`].
     pub(super) fn sizes(&self, field: &Field, n: usize) -> Result<Vec<usize>, ImageError> {
         let sizes: Option<Vec<usize>> = field
             .value
@@ -95,9 +98,12 @@ impl TextHeader {
             .map(|word| word.parse::<usize>().ok().filter(|&size| (1..=1 << 24).contains(&size)))
             .collect();
         let sizes = sizes.filter(|sizes| sizes.len() == n).filter(|sizes| {
-            sizes.iter().try_fold(8u64, |product, &size| product.checked_mul(size as u64)).is_some()
+            let n_bytes = sizes.iter().try_fold(8u64, |product, &size| product.checked_mul(size as u64));
+            n_bytes.is_some_and(|n_bytes| n_bytes <= MAX_DATA_BYTES)
         });
-        sizes.ok_or_else(|| self.wrong(field, format!("{n} numbers of voxels from 1 to {}", 1 << 24)))
+        sizes.ok_or_else(|| {
+            self.wrong(field, format!("{n} numbers of voxels from 1 to {}, together below 2^45", 1 << 24))
+        })
     }
 
     /// What a word of a list stands for.

@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use dicom_core::header::HasLength;
 use dicom_dictionary_std::tags;
-use dicom_object::Tag;
-use dicom_object::{DefaultDicomObject, InMemDicomObject};
+use dicom_object::{DefaultDicomObject, InMemDicomObject, Tag};
 
 use super::super::error::{HeaderPlace, ImageError};
 use crate::math::DVec3;
@@ -23,8 +23,10 @@ pub(super) struct Frame {
     pub(super) directions: [DVec3; 2],
     /// Distances of neighbouring columns and rows [mm].
     pub(super) spacing_mm: [f64; 2],
-    /// Distance to the next plane that the file states [mm].
-    pub(super) slice_distance_mm: Option<f64>,
+    /// Distance of neighbouring planes that the file states [mm].
+    pub(super) between_mm: Option<f64>,
+    /// Thickness of a plane [mm]: not their distance.
+    pub(super) thickness_mm: Option<f64>,
     pub(super) slope: f64,
     pub(super) intercept: f64,
     /// Number of the segment that a frame of a segmentation shows.
@@ -114,8 +116,15 @@ impl<'a> Sources<'a> {
         numbers(object, tag).ok_or_else(|| wrong(self.file, object, tag, name, allowed))
     }
 
-    fn optional<const N: usize>(&self, group: Tag, tag: Tag) -> Option<[f64; N]> {
-        numbers(self.with(group, tag), tag)
+    /// One number; none where the element is absent or empty. What is there has to be readable: a scale that is
+    /// silently left out makes other values.
+    fn optional(&self, group: Tag, tag: Tag, name: &str) -> Result<Option<f64>, ImageError> {
+        let object = self.with(group, tag);
+        if object.get(tag).is_none_or(|element| element.is_empty()) {
+            return Ok(None);
+        }
+        let found = numbers::<1>(object, tag).map(|[number]| number);
+        found.map(Some).ok_or_else(|| wrong(self.file, object, tag, name, "one finite number"))
     }
 }
 
@@ -199,12 +208,12 @@ impl Sources<'_> {
                 "two sizes above 0 in mm",
             ));
         }
-        let distance = self
-            .optional::<1>(measures, tags::SPACING_BETWEEN_SLICES)
-            .or_else(|| self.optional(measures, tags::SLICE_THICKNESS));
+        let between = self.optional(measures, tags::SPACING_BETWEEN_SLICES, "SpacingBetweenSlices")?;
+        let thickness = self.optional(measures, tags::SLICE_THICKNESS, "SliceThickness")?;
         let values = tags::PIXEL_VALUE_TRANSFORMATION_SEQUENCE;
-        let slope = self.optional(values, tags::RESCALE_SLOPE).map_or(1.0, |[slope]| slope);
-        let intercept = self.optional(values, tags::RESCALE_INTERCEPT).map_or(0.0, |[intercept]| intercept);
+        let slope = self.optional(values, tags::RESCALE_SLOPE, "RescaleSlope")?.unwrap_or(1.0);
+        let intercept = self.optional(values, tags::RESCALE_INTERCEPT, "RescaleIntercept")?.unwrap_or(0.0);
+        let size = |size: Option<f64>| size.map(f64::abs).filter(|&size| size > 0.0);
         let segment = self.with(tags::SEGMENT_IDENTIFICATION_SEQUENCE, tags::REFERENCED_SEGMENT_NUMBER);
         Ok(Frame {
             file: self.file.to_path_buf(),
@@ -213,7 +222,8 @@ impl Sources<'_> {
             position_mm: DVec3::new(x, y, z),
             directions: directions.map(DVec3::normalize),
             spacing_mm: [of_columns, of_rows],
-            slice_distance_mm: distance.map(|[d]| d.abs()).filter(|&d| d > 0.0),
+            between_mm: size(between),
+            thickness_mm: size(thickness),
             slope,
             intercept,
             segment: integer(segment, tags::REFERENCED_SEGMENT_NUMBER).and_then(|n| u16::try_from(n).ok()),

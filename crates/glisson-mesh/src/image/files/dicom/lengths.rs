@@ -2,7 +2,7 @@
 //! library takes memory for what an element says, which in a damaged file may be gigabytes.
 
 use std::fs::File;
-use std::io::{self, BufReader, Read};
+use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
 use dicom_dictionary_std::uids;
@@ -20,6 +20,9 @@ const SHORT: [&[u8; 2]; 21] = [
     b"AE", b"AS", b"AT", b"CS", b"DA", b"DS", b"DT", b"FD", b"FL", b"IS", b"LO", b"LT", b"PN", b"SH", b"SL",
     b"SS", b"ST", b"TM", b"UI", b"UL", b"US",
 ];
+
+/// The tag of an item, little-endian.
+const ITEM: [u8; 4] = [0xfe, 0xff, 0x00, 0xe0];
 
 /// How elements are written (DICOM PS3.5, 7.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,6 +92,8 @@ fn claims_too_much(file: &Path) -> io::Result<Option<String>> {
     let mut encoding = Encoding { is_explicit: true, order: ByteOrder::Little };
     let mut following = Some(encoding);
     let (mut is_in_header, mut is_in_pixels) = (true, false);
+    // Sequences of undefined length inside one of unknown kind, that one included, and how what is around it is written.
+    let (mut inside_unknown, mut around_unknown) = (0u32, encoding);
     while walk.at < walk.n_bytes {
         let start = walk.at;
         let raw: [u8; 4] = walk.take()?;
@@ -114,8 +119,13 @@ fn claims_too_much(file: &Path) -> io::Result<Option<String>> {
         };
         if length == UNDEFINED {
             is_in_pixels |= tag == (0x7fe0, 0x0010);
-            if &kind == b"UN" {
-                return Ok(None);
+            // Inside a sequence of unknown kind all is implicit and little-endian (PS3.5, 6.2.2).
+            if inside_unknown > 0 && !is_item {
+                inside_unknown += 1;
+            } else if &kind == b"UN" {
+                inside_unknown = 1;
+                around_unknown = encoding;
+                encoding = Encoding { is_explicit: false, order: ByteOrder::Little };
             }
             continue;
         }
@@ -128,9 +138,15 @@ fn claims_too_much(file: &Path) -> io::Result<Option<String>> {
         }
         if tag == (0xfffe, 0xe0dd) {
             is_in_pixels = false;
+            if inside_unknown == 1 {
+                encoding = around_unknown;
+            }
+            inside_unknown = inside_unknown.saturating_sub(1);
         }
-        // Sequences and their items are walked through, other values passed over.
-        let is_entered = &kind == b"SQ" || (is_item && !is_in_pixels);
+        // Sequences and their items are walked through, other values passed over. Implicit elements do not say whether
+        // they are sequences: those that begin with an item are.
+        let begins_with_item = !encoding.is_explicit && walk.reader.fill_buf()?.starts_with(&ITEM);
+        let is_entered = &kind == b"SQ" || begins_with_item || (is_item && !is_in_pixels);
         if tag == (0x0002, 0x0010) && length <= 64 {
             let mut uid = vec![0; length as usize];
             walk.reader.read_exact(&mut uid)?;

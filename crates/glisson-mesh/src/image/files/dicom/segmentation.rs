@@ -16,6 +16,28 @@ use super::volume::{NAME, frames_of_series};
 use crate::binary::{ByteOrder, NumberType};
 use crate::math::DVec3;
 
+/// Most voxels of a segmentation: planes in which nothing is are not in the file, so its size does not bound them.
+const MAX_VOXELS: f64 = (1u64 << 29) as f64;
+/// Planes nearer than this share of a voxel are one.
+const SAME_PLANE: f64 = 0.01;
+
+/// The distance of neighbouring planes [mm]: the smallest between frames, or a whole part of it where the file states
+/// one, because planes without anything of a segment are not there. None for one plane of no stated thickness.
+fn distance_of_planes_mm(first: &Frame, sorted_heights_mm: &[f64]) -> Option<f64> {
+    let least_mm = SAME_PLANE * first.spacing_mm[0].min(first.spacing_mm[1]);
+    let gaps = sorted_heights_mm.windows(2).map(|pair| pair[1] - pair[0]).filter(|&gap| gap > least_mm);
+    let smallest_mm = gaps.fold(f64::INFINITY, f64::min);
+    if smallest_mm == f64::INFINITY {
+        return first.between_mm.or(first.thickness_mm);
+    }
+    let n_between = first.between_mm.map_or(1.0, |stated_mm| smallest_mm / stated_mm);
+    let is_whole = n_between > 1.5 && (n_between - n_between.round()).abs() < 0.05;
+    let distance_mm = if is_whole { smallest_mm / n_between.round() } else { smallest_mm };
+    // Over the whole reach, so that rounded positions do not add up.
+    let reach_mm = sorted_heights_mm[sorted_heights_mm.len() - 1] - sorted_heights_mm[0];
+    Some(reach_mm / (reach_mm / distance_mm).round())
+}
+
 /// How a segmentation says what is inside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
@@ -47,10 +69,10 @@ pub(super) fn label_map(folder: &Path, series: &Series) -> Result<StoredImage, I
     let kind = kind_of(file, &object)?;
     let (first, normal) = (&frames[0], frames[0].normal());
     let height_mm = |frame: &Frame| frame.position_mm.dot(normal);
-    let low_mm = frames.iter().map(height_mm).fold(f64::INFINITY, f64::min);
-    let high_mm = frames.iter().map(height_mm).fold(f64::NEG_INFINITY, f64::max);
-    // Planes without anything of a segment are not there: the distance is what the file states.
-    let Some(distance_mm) = first.slice_distance_mm else {
+    let mut heights_mm: Vec<f64> = frames.iter().map(height_mm).collect();
+    heights_mm.sort_by(f64::total_cmp);
+    let (low_mm, reach_mm) = (heights_mm[0], heights_mm[heights_mm.len() - 1] - heights_mm[0]);
+    let Some(distance_mm) = distance_of_planes_mm(first, &heights_mm) else {
         return Err(wrong(
             file,
             &object,
@@ -59,9 +81,13 @@ pub(super) fn label_map(folder: &Path, series: &Series) -> Result<StoredImage, I
             "a size above 0 in mm",
         ));
     };
-    let n_planes = ((high_mm - low_mm) / distance_mm).round() + 1.0;
-    if n_planes > 65_536.0 {
-        return refuse(format!("{n_planes} planes of {distance_mm} mm, at most 65536 allowed"));
+    let n_planes = (reach_mm / distance_mm).round() + 1.0;
+    let n_voxels = n_planes * first.dims[0] as f64 * first.dims[1] as f64;
+    if n_voxels > MAX_VOXELS {
+        return refuse(format!(
+            "{n_planes} planes of {} x {} voxels, {distance_mm:.3} mm apart: {n_voxels:.1e} voxels, at most {MAX_VOXELS:.1e} allowed",
+            first.dims[0], first.dims[1]
+        ));
     }
     let dims = [first.dims[0], first.dims[1], n_planes as usize];
     let spacing_m = DVec3::new(first.spacing_mm[0], first.spacing_mm[1], distance_mm) * 1e-3;
@@ -81,10 +107,15 @@ pub(super) fn label_map(folder: &Path, series: &Series) -> Result<StoredImage, I
             return refuse(format!("{} is not on the grid of the other frames", frame.name()));
         }
         let plane = &mut labels[place.round() as usize * n_in_plane..][..n_in_plane];
+        let segment = match (kind, frame.segment) {
+            (Kind::Labels, _) => 0,
+            (_, Some(segment)) if segment > 0 => segment,
+            _ => return refuse(format!("{} does not say which segment it shows", frame.name())),
+        };
         let label_of = |value: i64| match kind {
             Kind::Labels => u16::try_from(value).ok(),
-            Kind::Binary => Some(if value != 0 { frame.segment.unwrap_or(1) } else { 0 }),
-            Kind::Fractional { all } => Some(if 2 * value >= all { frame.segment.unwrap_or(1) } else { 0 }),
+            Kind::Binary => Some(if value != 0 { segment } else { 0 }),
+            Kind::Fractional { all } => Some(if 2 * value >= all { segment } else { 0 }),
         };
         for (label, value) in plane.iter_mut().zip(pixels.of_frame(frame.index)?) {
             let Some(found) = label_of(value) else {

@@ -118,7 +118,7 @@ fn files_below(path: &Path) -> Result<Vec<PathBuf>, ImageError> {
 }
 
 /// Whether a file has DICOM's mark behind its preamble.
-fn is_dicom(file: &Path) -> bool {
+pub(super) fn is_dicom(file: &Path) -> bool {
     let mut first = [0; 132];
     let read = std::fs::File::open(file).and_then(|mut file| file.read_exact(&mut first));
     read.is_ok() && &first[128..] == b"DICM"

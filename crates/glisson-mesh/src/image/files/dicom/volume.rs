@@ -86,7 +86,7 @@ fn in_order(
                 frames.len()
             ));
         }
-        let distance_mm = frames[0].slice_distance_mm.unwrap_or(frames[0].spacing_mm[0]);
+        let distance_mm = frames[0].between_mm.or(frames[0].thickness_mm).unwrap_or(frames[0].spacing_mm[0]);
         return Ok((frames, distance_mm));
     };
     let mut kept: Vec<Frame> = Vec::with_capacity(frames.len());
@@ -189,36 +189,44 @@ pub(super) fn volume(folder: &Path, series: &Series) -> Result<StoredImage, Imag
 fn numbers_of(frames: &[Frame]) -> Result<StoredData, ImageError> {
     let (slope, intercept) = (frames[0].slope, frames[0].intercept);
     let mean_same = frames.iter().all(|frame| (frame.slope, frame.intercept) == (slope, intercept));
-    let mut kinds: Vec<NumberType> = Vec::new();
-    let mut bytes = Vec::new();
-    let mut values: Vec<Vec<i64>> = Vec::with_capacity(frames.len());
-    let mut at = 0;
-    while at < frames.len() {
-        // Frames of one file stand together when their positions are in the file's order: it is opened once for them.
-        let file = &frames[at].file;
-        let n = frames[at..].iter().take_while(|frame| frame.file == *file).count();
-        let object = open(file, true)?;
-        let n_needed = frames[at..at + n].iter().map(|frame| frame.index + 1).max().unwrap_or(1);
-        let pixels = Pixels::new(file, &object, frames[at].dims, n_needed)?;
-        kinds.push(pixels.number_type());
-        for frame in &frames[at..at + n] {
-            values.push(pixels.of_frame(frame.index)?);
-        }
-        at += n;
-    }
-    let kind = kinds[0];
-    if mean_same && kinds.iter().all(|other| *other == kind) {
-        let n_bytes = kind.n_bytes();
-        bytes.reserve(values.len() * values[0].len() * n_bytes);
-        for value in values.iter().flatten() {
-            bytes.extend_from_slice(&value.to_le_bytes()[..n_bytes]);
-        }
+    if mean_same && let Some((kind, bytes)) = bytes_as_stored(frames)? {
         return Ok(StoredData { slope, intercept, ..StoredData::plain(kind, ByteOrder::Little, bytes, 0) });
     }
-    for (frame, values) in frames.iter().zip(&values) {
+    let mut bytes = Vec::new();
+    for_each_frame(frames, |frame, _, values| {
         for value in values {
-            bytes.extend(((*value as f64 * frame.slope + frame.intercept) as f32).to_le_bytes());
+            bytes.extend(((value as f64 * frame.slope + frame.intercept) as f32).to_le_bytes());
+        }
+    })?;
+    Ok(StoredData::plain(NumberType::F32, ByteOrder::Little, bytes, 0))
+}
+
+/// The numbers of frames in the type in which all are stored; none where the types differ.
+fn bytes_as_stored(frames: &[Frame]) -> Result<Option<(NumberType, Vec<u8>)>, ImageError> {
+    let (mut first, mut differ, mut bytes) = (None, false, Vec::new());
+    for_each_frame(frames, |_, kind, values| {
+        differ |= *first.get_or_insert(kind) != kind;
+        for value in values {
+            bytes.extend_from_slice(&value.to_le_bytes()[..kind.n_bytes()]);
+        }
+    })?;
+    Ok(first.filter(|_| !differ).map(|kind| (kind, bytes)))
+}
+
+/// Calls `visit` with each frame, the type of its numbers, and these.
+fn for_each_frame(
+    frames: &[Frame],
+    mut visit: impl FnMut(&Frame, NumberType, Vec<i64>),
+) -> Result<(), ImageError> {
+    // Frames of one file that stand together, as they mostly do, are taken while it is open.
+    for together in frames.chunk_by(|a, b| a.file == b.file) {
+        let file = &together[0].file;
+        let object = open(file, true)?;
+        let n_needed = together.iter().map(|frame| frame.index + 1).max().unwrap_or(1);
+        let pixels = Pixels::new(file, &object, together[0].dims, n_needed)?;
+        for frame in together {
+            visit(frame, pixels.number_type(), pixels.of_frame(frame.index)?);
         }
     }
-    Ok(StoredData::plain(NumberType::F32, ByteOrder::Little, bytes, 0))
+    Ok(())
 }

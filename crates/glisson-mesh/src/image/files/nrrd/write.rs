@@ -70,7 +70,7 @@ fn header_text(image: &WrittenImage<'_>) -> String {
 fn segment_lines(image: &WrittenImage<'_>) -> Vec<String> {
     let mut lines = Vec::new();
     let extents = extents(image.grid, &image.bytes);
-    for (n, (label, name)) in image.names.iter().enumerate() {
+    for (n, (label, name)) in image.names.iter().filter(|(label, _)| *label != 0).enumerate() {
         let extent = extents[usize::from(*label)].map_or("0 -1 0 -1 0 -1".into(), |[i, j, k]| {
             format!("{} {} {} {} {} {}", i[0], i[1], j[0], j[1], k[0], k[1])
         });

@@ -48,7 +48,7 @@ fn an_import_says_what_is_there_and_writes_it() {
     // One name, or several with a plus between them.
     let (said, _) = says(
         folder.path(),
-        &["mesh", "b.nii.gz", "--label", "kidney+cyst", "--tetrahedra", "300", "-o", "b.vtu"],
+        &["mesh", "b.nii.gz", "--label", "kidney+cyst", "--tetrahedra", "1000", "-o", "b.vtu"],
     );
     assert!(said.contains("label        kidney + cyst"), "{said}");
 }
@@ -78,7 +78,7 @@ fn what_cannot_be_imported_is_refused() {
 fn an_organ_that_the_border_cuts_off_is_closed_when_asked() {
     let folder = tempfile::tempdir().unwrap();
     ball(folder.path(), "a.nrrd", [8, 8, 2]);
-    let mesh = ["mesh", "a.nrrd", "--label", "kidney+cyst", "--tetrahedra", "300", "-o", "b.vtu"];
+    let mesh = ["mesh", "a.nrrd", "--label", "kidney+cyst", "--tetrahedra", "1000", "-o", "b.vtu"];
     refuses(folder.path(), &mesh, &["--cut-at-border"]);
     let (said, _) = says(folder.path(), &[&mesh[..], &["--cut-at-border"]].concat());
     assert!(said.contains("closed with a flat face at k = 0 (inferior)"), "{said}");
@@ -94,7 +94,7 @@ fn a_surface_in_another_unit_is_warned_of() {
         "--label",
         "kidney+cyst",
         "--tetrahedra",
-        "300",
+        "1000",
         "-o",
         "b.vtu",
         "--surface-out",
@@ -116,7 +116,7 @@ fn a_surface_in_another_unit_is_warned_of() {
     assert!(warned.contains("organs have 1 ml to 20 l") && warned.contains("--unit m"), "{warned}");
     let (_, warned) = says(folder.path(), &["check", "m.obj", "--unit", "m"]);
     assert!(warned.is_empty(), "{warned}");
-    says(folder.path(), &["mesh", "m.obj", "--unit", "m", "--tetrahedra", "300", "-o", "m.vtu"]);
+    says(folder.path(), &["mesh", "m.obj", "--unit", "m", "--tetrahedra", "1000", "-o", "m.vtu"]);
 }
 
 #[test]
@@ -129,7 +129,7 @@ fn a_surface_with_a_hole_is_meshed_when_repair_is_asked_for() {
         "--label",
         "kidney+cyst",
         "--tetrahedra",
-        "300",
+        "1000",
         "-o",
         "b.vtu",
         "--surface-out",
@@ -141,7 +141,7 @@ fn a_surface_with_a_hole_is_meshed_when_repair_is_asked_for() {
     let (faces, others): (Vec<&str>, Vec<&str>) = text.lines().partition(|line| line.starts_with("f "));
     let broken = [&others[..], &faces[4..], &faces[20..21]].concat().join("\n");
     std::fs::write(folder.path().join("broken.obj"), broken + "\n").unwrap();
-    let mesh = ["mesh", "broken.obj", "--tetrahedra", "300", "-o", "c.vtu"];
+    let mesh = ["mesh", "broken.obj", "--tetrahedra", "1000", "-o", "c.vtu"];
     refuses(folder.path(), &mesh, &["broken.obj", "`--repair` closes such surfaces"]);
     let (said, _) = says(folder.path(), &[&mesh[..], &["--repair"]].concat());
     for words in ["open edges at", "1 doubled triangles", "drawn anew on a grid", "volume"] {

@@ -10,6 +10,8 @@ use dicom_dictionary_std::uids;
 use super::super::error::ImageError;
 use crate::binary::ByteOrder;
 
+/// Explicit VR, big endian: retired, but on discs.
+pub(super) const EXPLICIT_VR_BIG_ENDIAN: &str = "1.2.840.10008.1.2.2";
 /// The length of what ends by a delimiter.
 const UNDEFINED: u32 = u32::MAX;
 /// Bytes before the first element: the preamble and `DICM`.
@@ -164,7 +166,7 @@ fn encoding_of(uid: &str) -> Option<Encoding> {
     match uid {
         uids::DEFLATED_EXPLICIT_VR_LITTLE_ENDIAN => None,
         uids::IMPLICIT_VR_LITTLE_ENDIAN => Some(Encoding { is_explicit: false, order: ByteOrder::Little }),
-        super::pixels::EXPLICIT_VR_BIG_ENDIAN => Some(Encoding { is_explicit: true, order: ByteOrder::Big }),
+        EXPLICIT_VR_BIG_ENDIAN => Some(Encoding { is_explicit: true, order: ByteOrder::Big }),
         _ => Some(Encoding { is_explicit: true, order: ByteOrder::Little }),
     }
 }

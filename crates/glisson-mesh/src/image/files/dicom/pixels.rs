@@ -11,6 +11,7 @@ use hayro_jpeg2000::{DecodeSettings, DecoderContext, Image};
 
 use super::super::error::ImageError;
 use super::frames::{integer, wrong};
+use super::lengths::EXPLICIT_VR_BIG_ENDIAN;
 use super::series::causes;
 use crate::binary::NumberType;
 
@@ -84,9 +85,6 @@ enum Coding {
     JpegLs,
     Jpeg2000,
 }
-
-/// Explicit VR, big endian: retired, but on discs.
-pub(super) const EXPLICIT_VR_BIG_ENDIAN: &str = "1.2.840.10008.1.2.2";
 
 const CODINGS: &[(&str, Coding)] = &[
     (uids::IMPLICIT_VR_LITTLE_ENDIAN, Coding::Plain),

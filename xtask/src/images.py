@@ -172,4 +172,4 @@ tip = ["100 mm", "60 mm", "100 mm"]
     with open(path("liver.toml"), "w") as out:
         out.write(scene)
     ran = json.loads(glisson("run", path("liver.toml"), "--json"))
-    print("CGAL's liver.inr.gz from file to a pushed liver:", {k: ran[k] for k in list(ran)[:4]})
+    print("CGAL's liver.inr.gz from file to a pushed liver:", {key: value for key, value in ran.items() if "force" in key or "factor" in key})

@@ -17,18 +17,29 @@ const SCRIPT: &str = include_str!("images.py");
 /// How long the script may take.
 const CHECKING: Duration = Duration::from_secs(600);
 /// Debian's package with CGAL's images, and where they lie in it.
-const CGAL: &str = "libcgal-dev";
+const CGAL: &str = "libcgal-demo";
 const CGAL_DATA: &str = "usr/share/doc/libcgal-dev/data.tar.gz";
 const CGAL_LIVER: &str = "data/images/liver.inr.gz";
 
-/// Checks the release program; with CGAL's liver when `with_cgal`.
-pub(crate) fn check(with_cgal: bool) -> anyhow::Result<()> {
-    let folder = target().join("images-check");
-    let packages = folder.join("packages");
+/// Where everything is kept.
+fn folder() -> PathBuf {
+    target().join("images-check")
+}
+
+/// Installs the programs to compare with; answers with the Python that has them.
+pub(crate) fn install() -> anyhow::Result<String> {
+    let packages = folder().join("packages");
     let python = setup::require(&["python3", "python"], "python3", "checking image files")?;
     if !packages.join("SimpleITK").exists() {
         pip_install(&python, &packages.to_string_lossy(), &[&PACKAGES[..], &DECODERS].concat())?;
     }
+    Ok(python)
+}
+
+/// Checks the release program with the Python of [`install`]; with CGAL's liver when `with_cgal`.
+pub(crate) fn check(python: &str, with_cgal: bool) -> anyhow::Result<()> {
+    let folder = folder();
+    let packages = folder.join("packages");
     let mut arguments = vec![program(), folder.join("files")];
     if with_cgal {
         arguments.push(cgal_liver(&folder).context("cannot get CGAL's liver")?);
@@ -37,7 +48,7 @@ pub(crate) fn check(with_cgal: bool) -> anyhow::Result<()> {
     std::fs::write(&script, SCRIPT).with_context(|| format!("{}: cannot write", script.display()))?;
     let path = format!("PYTHONPATH={}", packages.display());
     let words: Vec<String> = arguments.iter().map(|a| a.to_string_lossy().into_owned()).collect();
-    let mut all = vec![path.as_str(), python.as_str()];
+    let mut all = vec![path.as_str(), python];
     let script = script.to_string_lossy().into_owned();
     all.push(&script);
     all.extend(words.iter().map(String::as_str));

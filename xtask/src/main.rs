@@ -200,7 +200,7 @@ fn main() -> anyhow::Result<()> {
         }
         Task::Images => {
             build_program()?;
-            images::check(true)
+            images::check(&images::install()?, true)
         }
         Task::Peers { sizes, seconds } => peers::measure(&sizes, seconds),
         Task::FetchCt => {

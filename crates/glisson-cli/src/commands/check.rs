@@ -19,6 +19,7 @@ use glisson::units::LengthUnit;
 use glisson_view::plot::Histogram;
 
 use super::image_input::warn_of_unit;
+use super::output::make_folder_of;
 
 /// Say how good a mesh is, and what is wrong with it.
 ///
@@ -280,11 +281,7 @@ fn write_histograms(path: &Path, mesh: &TetMesh) -> anyhow::Result<()> {
         without_prolog(&angles.to_svg()?),
         without_prolog(&ratios.to_svg()?)
     );
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
-    if let Some(folder) = folder {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot make folder {}", folder.display()))?;
-    }
+    make_folder_of(path)?;
     write_atomically(path, |out| std::io::Write::write_all(out, svg.as_bytes()))
         .with_context(|| format!("cannot write {}", path.display()))
 }

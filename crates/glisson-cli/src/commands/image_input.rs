@@ -2,16 +2,13 @@
 
 use std::path::Path;
 
-use glisson::image::files::{
-    ImageError, SeriesChoice, StoredImage, format_of_file, format_of_name, read_image, read_series,
-};
+use glisson::image::files::{ImageError, SeriesChoice, StoredImage, format_of_file, read_image, read_series};
 use glisson::surface::files::FileKind;
 use glisson::units::{LengthUnit, likely_unit};
 
 /// Whether a path is an image to `glisson mesh`, and no surface.
 pub(crate) fn is_image(path: &Path) -> bool {
-    let is_surface = || FileKind::of_path(path).is_ok();
-    path.is_dir() || format_of_name(path).is_some() || (!is_surface() && format_of_file(path).is_some())
+    path.is_dir() || (FileKind::of_path(path).is_err() && format_of_file(path).is_some())
 }
 
 /// The image in a file or folder; its notes go to standard error, so that they do not mix with JSON.

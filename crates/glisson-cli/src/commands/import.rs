@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, ensure};
+use anyhow::ensure;
 use glisson::image::files::{
     ImageFormat, StoredImage, format_of_name, image_extensions, series_in, write_label_map, write_volume,
 };
@@ -11,6 +11,7 @@ use glisson::math::DVec3;
 use serde_json::json;
 
 use super::image_input::read;
+use super::output::make_folder_of;
 
 /// Say what an image is, and write it in another format.
 ///
@@ -59,10 +60,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (contents, guess) = Contents::of(&image, args.labels)?;
     image.notes.extend(guess);
     if let Some(output) = &args.output {
-        if let Some(folder) = output.parent() {
-            std::fs::create_dir_all(folder)
-                .with_context(|| format!("cannot make folder {}", folder.display()))?;
-        }
+        make_folder_of(output)?;
         match &contents {
             Contents::Labels(map) => write_label_map(output, map)?,
             Contents::Values { .. } => write_volume(output, &image.volume())?,

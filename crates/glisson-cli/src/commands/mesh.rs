@@ -1,6 +1,6 @@
 //! `glisson mesh`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
@@ -17,6 +17,7 @@ use glisson::surface::files::{
 use glisson::units::LengthUnit;
 
 use super::image_input::{is_image, read_with_notes, warn_of_unit};
+use super::output::{check_extension, make_folder_of};
 use super::repair::{How, print_report as print_repair, repaired};
 
 /// Number of tetrahedra when neither a number nor a size is given.
@@ -138,20 +139,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// Refuses what would fail only after the work.
 fn check_arguments(args: &Args) -> anyhow::Result<()> {
-    let has_extension = |path: &Path, allowed: &[&str]| {
-        let found = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-        let listed = allowed.join(", .");
-        let known = allowed.contains(&found.as_str());
-        ensure!(known, "{}: found the extension `{found}`, allowed: .{listed}", path.display());
-        Ok(())
-    };
     ensure!(
         args.repair || !args.how_to_repair.is_given(),
         "--grid-mm, --smallest-feature-mm and --largest-hole say how to repair: add --repair"
     );
-    has_extension(&args.output, &extensions_of(MeshFormat::is_written))?;
+    check_extension(&args.output, &extensions_of(MeshFormat::is_written))?;
     if let Some(path) = &args.surface_out {
-        has_extension(path, &surface_extensions())?;
+        check_extension(path, &surface_extensions())?;
     }
     if let Some(n) = args.tetrahedra {
         let allowed = MIN_TETRAHEDRA..=MAX_TETRAHEDRA;
@@ -294,11 +288,6 @@ fn of_surface(args: &Args, stages: &Stages) -> anyhow::Result<Source> {
     warn_of_unit(&args.input, imported.topology.volume_m3, unit);
     let (surface, topology) = (imported.mesh, imported.topology);
     Ok(Source { surface, volume_m3: topology.volume_m3, volume_of: "surface" })
-}
-
-fn make_folder_of(path: &Path) -> anyhow::Result<()> {
-    let Some(folder) = path.parent() else { return Ok(()) };
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot make folder {}", folder.display()))
 }
 
 fn print_report(source: &Source, report: &MeshReport) {

@@ -1,6 +1,7 @@
 //! The verbs of the program, one file each.
 
 mod image_input;
+mod output;
 mod phantom;
 mod import;
 mod segment;

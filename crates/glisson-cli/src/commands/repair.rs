@@ -2,13 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
 use glisson::surface::TriMesh;
 use glisson::surface::files::{read_surface_with, surface_extensions, write_surface};
 use glisson::surface::repair::{RepairParams, RepairReport, Sightings, repair};
 use glisson::units::LengthUnit;
 
 use super::image_input::warn_of_unit;
+use super::output::{check_extension, make_folder_of};
 
 /// Close a surface that has holes, crossings, doubled or flipped triangles.
 ///
@@ -67,16 +68,10 @@ impl How {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let found = args.output.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let listed = surface_extensions().join(", .");
-    let known = surface_extensions().contains(&found.as_str());
-    ensure!(known, "{}: found the extension `{found}`, allowed: .{listed}", args.output.display());
+    check_extension(&args.output, &surface_extensions())?;
     let (surface, report) = repaired(&args.input, args.unit, &args.how)?;
     warn_of_unit(&args.input, report.volume_after_m3, args.unit);
-    if let Some(folder) = args.output.parent() {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot make folder {}", folder.display()))?;
-    }
+    make_folder_of(&args.output)?;
     write_surface(&args.output, &surface)?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report)?);

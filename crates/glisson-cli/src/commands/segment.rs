@@ -11,6 +11,7 @@ use glisson::math::DVec3;
 use serde_json::json;
 
 use super::image_input::read_with_notes;
+use super::output::make_folder_of;
 
 /// Find the liver in a CT volume.
 ///
@@ -67,10 +68,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let labels = found.mask.iter().map(|&inside| u16::from(inside)).collect();
     let map =
         LabelMap { grid: ct.grid.clone(), labels, names: vec![(1, args.name.clone())], colours: Vec::new() };
-    if let Some(folder) = args.output.parent() {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot make folder {}", folder.display()))?;
-    }
+    make_folder_of(&args.output)?;
     write_label_map(&args.output, &map)?;
     let overlap = truth.map(|truth| Overlap {
         dice: dice(&found.mask, &truth),
@@ -137,8 +135,7 @@ fn read_truth(args: &Args, path: &Path, ct: &Volume<f32>) -> anyhow::Result<Vec<
         args.ct.display(),
         ct.grid.dims
     );
-    let far_m = map.grid.bounds_m().min_m.distance(ct.grid.bounds_m().min_m)
-        + map.grid.bounds_m().max_m.distance(ct.grid.bounds_m().max_m);
+    let far_m = map.grid.corner_distance_m(&ct.grid);
     ensure!(
         far_m < 0.1 * ct.grid.spacing_m.min_element(),
         "{} lies elsewhere in the patient than {} ({:.2} mm apart at the corners, 0 allowed)",

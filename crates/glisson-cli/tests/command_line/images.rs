@@ -84,25 +84,19 @@ fn an_organ_that_the_border_cuts_off_is_closed_when_asked() {
     assert!(said.contains("closed with a flat face at k = 0 (inferior)"), "{said}");
 }
 
+/// The lines of the surface of a ball, in millimetres.
+fn ball_surface(folder: &Path) -> String {
+    ball(folder, "a.nrrd", [8, 8, 8]);
+    let mesh = ["mesh", "a.nrrd", "--label", "kidney+cyst", "--tetrahedra", "1000", "-o", "b.vtu"];
+    says(folder, &[&mesh[..], &["--surface-out", "b.obj"]].concat());
+    std::fs::read_to_string(folder.join("b.obj")).unwrap()
+}
+
 #[test]
 fn a_surface_in_another_unit_is_warned_of() {
     let folder = tempfile::tempdir().unwrap();
-    ball(folder.path(), "a.nrrd", [8, 8, 8]);
-    let all = [
-        "mesh",
-        "a.nrrd",
-        "--label",
-        "kidney+cyst",
-        "--tetrahedra",
-        "1000",
-        "-o",
-        "b.vtu",
-        "--surface-out",
-        "b.obj",
-    ];
-    says(folder.path(), &all);
+    let text = ball_surface(folder.path());
     // The same numbers, but in metres.
-    let text = std::fs::read_to_string(folder.path().join("b.obj")).unwrap();
     let in_metres = text.lines().map(|line| match line.strip_prefix("v ") {
         Some(numbers) => {
             let scaled =
@@ -122,22 +116,8 @@ fn a_surface_in_another_unit_is_warned_of() {
 #[test]
 fn a_surface_with_a_hole_is_meshed_when_repair_is_asked_for() {
     let folder = tempfile::tempdir().unwrap();
-    ball(folder.path(), "a.nrrd", [8, 8, 8]);
-    let all = [
-        "mesh",
-        "a.nrrd",
-        "--label",
-        "kidney+cyst",
-        "--tetrahedra",
-        "1000",
-        "-o",
-        "b.vtu",
-        "--surface-out",
-        "b.obj",
-    ];
-    says(folder.path(), &all);
+    let text = ball_surface(folder.path());
     // Four triangles less, and one doubled.
-    let text = std::fs::read_to_string(folder.path().join("b.obj")).unwrap();
     let (faces, others): (Vec<&str>, Vec<&str>) = text.lines().partition(|line| line.starts_with("f "));
     let broken = [&others[..], &faces[4..], &faces[20..21]].concat().join("\n");
     std::fs::write(folder.path().join("broken.obj"), broken + "\n").unwrap();

@@ -56,6 +56,12 @@ impl VoxelGrid {
         (self.axes.transpose() * (position_m - self.origin_m)) / self.spacing_m
     }
 
+    /// How far two grids are apart at their lowest and highest corners, together [m].
+    pub fn corner_distance_m(&self, other: &Self) -> f64 {
+        let (a, b) = (self.bounds_m(), other.bounds_m());
+        a.min_m.distance(b.min_m) + a.max_m.distance(b.max_m)
+    }
+
     /// Box around all voxel centres [m].
     pub fn bounds_m(&self) -> Aabb {
         let last = DVec3::new(

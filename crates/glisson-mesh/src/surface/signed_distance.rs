@@ -135,6 +135,12 @@ impl SignedDistance {
         &self.values_m
     }
 
+    /// Node (i, j, k) of a place in the values.
+    pub(crate) fn node(&self, at: usize) -> [usize; 3] {
+        let [nx, ny, _] = self.dims();
+        [at % nx, at / nx % ny, at / (nx * ny)]
+    }
+
     /// Position [m] of node (i, j, k).
     pub fn node_position_m(&self, [i, j, k]: [usize; 3]) -> DVec3 {
         self.origin_m + self.spacing_m * DVec3::new(i as f64, j as f64, k as f64)

@@ -12,7 +12,7 @@ use glisson_mesh::surface::winding::{WindingTree, winding_number};
 use rayon::prelude::*;
 
 use super::meshing::sphere;
-use super::surfaces::{cube, torus};
+use super::surfaces::{cube, joined, torus};
 
 /// A box of the edge 0.1 m, `n` times `n` squares a side, two triangles each.
 fn fine_box(n: u32) -> TriMesh {
@@ -53,14 +53,6 @@ fn moved(mesh: &TriMesh, to: impl Fn(DVec3) -> DVec3) -> TriMesh {
         positions_m: mesh.positions_m.iter().map(|&p| to(p)).collect(),
         triangles: mesh.triangles.clone(),
     }
-}
-
-fn joined(mesh: &TriMesh, other: &TriMesh) -> TriMesh {
-    let mut both = mesh.clone();
-    let n = mesh.positions_m.len() as u32;
-    both.positions_m.extend(&other.positions_m);
-    both.triangles.extend(other.triangles.iter().map(|t| t.map(|v| v + n)));
-    both
 }
 
 fn inside_out(mesh: &TriMesh) -> TriMesh {

@@ -237,7 +237,7 @@ pub(crate) fn torus(ring_m: f64, tube_m: f64, n: u32, m: u32) -> TriMesh {
 }
 
 /// `mesh` and `other` as one mesh of separate vertices.
-fn joined(mesh: &TriMesh, other: &TriMesh) -> TriMesh {
+pub(crate) fn joined(mesh: &TriMesh, other: &TriMesh) -> TriMesh {
     let mut both = mesh.clone();
     let n = mesh.positions_m.len() as u32;
     both.positions_m.extend(&other.positions_m);

@@ -47,9 +47,7 @@ fn is_mask(image: &StoredImage) -> bool {
 }
 
 fn same_place(a: &VoxelGrid, b: &VoxelGrid) -> bool {
-    let far_m =
-        a.bounds_m().min_m.distance(b.bounds_m().min_m) + a.bounds_m().max_m.distance(b.bounds_m().max_m);
-    a.dims == b.dims && far_m <= MAX_SHIFT * a.spacing_m.min_element()
+    a.dims == b.dims && a.corner_distance_m(b) <= MAX_SHIFT * a.spacing_m.min_element()
 }
 
 /// The label map of the masks in `files`, each read by `read`: zeros, and one other number inside. Where two organs lie

@@ -17,7 +17,7 @@ use flate2::write::ZlibEncoder;
 use super::error::{HeaderPlace, ImageError};
 use super::format::ImageFormat;
 use super::label_table::LabelTable;
-use super::packed::{Packing, unpack};
+use super::packed::{Packing, load, unpack};
 use super::placement::right_angled;
 use super::stored::{StoredData, StoredImage};
 use super::text_header::{Field, MAX_HEADER_BYTES, TextHeader, beside, line_at, numbers_in_text};
@@ -155,9 +155,6 @@ fn by_anatomy(header: &TextHeader) -> Result<[DVec3; 3], ImageError> {
 }
 
 fn read(file: &Path) -> Result<StoredImage, ImageError> {
-    let load = |file: &Path| {
-        std::fs::read(file).map_err(|source| ImageError::Io { file: file.to_path_buf(), source })
-    };
     let bytes = load(file)?;
     let (header, end) = parse_header(file, &bytes)?;
     let grid = grid_of(&header)?;

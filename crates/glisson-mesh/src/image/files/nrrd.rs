@@ -17,7 +17,7 @@ use std::path::Path;
 use self::segments::{merged, segments_of};
 use super::error::{HeaderPlace, ImageError};
 use super::format::ImageFormat;
-use super::packed::{Packing, unpack};
+use super::packed::{Packing, load, unpack};
 use super::placement::right_angled;
 use super::stored::{StoredData, StoredImage};
 use super::text_header::{Field, MAX_HEADER_BYTES, TextHeader, beside, line_at, numbers_in_text};
@@ -354,9 +354,6 @@ fn hexadecimal(text: &[u8], n_bytes: usize) -> Option<Vec<u8>> {
 }
 
 fn read(file: &Path) -> Result<StoredImage, ImageError> {
-    let load = |file: &Path| {
-        std::fs::read(file).map_err(|source| ImageError::Io { file: file.to_path_buf(), source })
-    };
     let bytes = load(file)?;
     if !(FORMAT.begins)(&bytes) {
         let found = bytes[..bytes.len().min(8)].escape_ascii().to_string();

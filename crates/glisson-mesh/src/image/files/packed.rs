@@ -21,6 +21,14 @@ pub(super) enum Packing {
     Zlib,
 }
 
+/// All bytes of a file, as they are.
+///
+/// # Errors
+/// A refusal of the file system.
+pub(super) fn load(file: &Path) -> Result<Vec<u8>, ImageError> {
+    std::fs::read(file).map_err(|source| ImageError::Io { file: file.to_path_buf(), source })
+}
+
 /// All bytes of a file, decompressed if they are gzip: exactly as many as `measure` says. It is handed the first
 /// `n_first` bytes, or fewer of a shorter file, and answers with what it read there and the size of the whole.
 ///
@@ -32,7 +40,7 @@ pub(super) fn read_measured<H>(
     measure: impl FnOnce(&[u8]) -> Result<(H, u64), ImageError>,
     mismatch: impl FnOnce(&H, u64, u64) -> ImageError,
 ) -> Result<(H, Vec<u8>), ImageError> {
-    let stored = std::fs::read(file).map_err(|source| ImageError::Io { file: file.to_path_buf(), source })?;
+    let stored = load(file)?;
     if !stored.starts_with(&GZIP_MAGIC) {
         let (header, expected) = measure(&stored[..stored.len().min(n_first)])?;
         return match stored.len() as u64 == expected {

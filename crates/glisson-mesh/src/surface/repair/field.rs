@@ -40,7 +40,7 @@ impl Field {
         let winding = winding_numbers(tree, &band);
         let [nx, ny, nz] = band.dims();
         let is_border = |at: usize| {
-            let (i, j, k) = (at % nx, at / nx % ny, at / (nx * ny));
+            let [i, j, k] = band.node(at);
             i == 0 || j == 0 || k == 0 || i + 1 == nx || j + 1 == ny || k + 1 == nz
         };
         let inside: Vec<bool> =
@@ -49,10 +49,9 @@ impl Field {
         if n_inside == 0 {
             let most = (0..winding.len()).max_by(|&a, &b| winding[a].total_cmp(&winding[b]));
             let at = most.expect("a grid has nodes");
-            let node = [at % nx, at / nx % ny, at / (nx * ny)];
             return Err(RepairError::NoInside {
                 largest: winding[at],
-                place: Place(band.node_position_m(node)),
+                place: Place(band.node_position_m(band.node(at))),
                 spacing_mm: 1e3 * band.spacing_m(),
             });
         }
@@ -82,13 +81,8 @@ fn winding_numbers(tree: &WindingTree<'_>, band: &SignedDistance) -> Vec<f64> {
             blocks.iter().flat_map(|&b| corners(b)).filter(|&node| winding[node].is_nan()).collect();
         wanted.sort_unstable();
         wanted.dedup();
-        let answers: Vec<f64> = wanted
-            .par_iter()
-            .map(|&at| {
-                let node = [at % dims[0], at / dims[0] % dims[1], at / (dims[0] * dims[1])];
-                tree.winding_number(band.node_position_m(node))
-            })
-            .collect();
+        let answers: Vec<f64> =
+            wanted.par_iter().map(|&at| tree.winding_number(band.node_position_m(band.node(at)))).collect();
         for (&node, &answer) in wanted.iter().zip(&answers) {
             winding[node] = answer;
         }

@@ -149,8 +149,7 @@ fn rebuild(
     report.volume_before_m3 = field.n_inside as f64 * spacing_m.powi(3);
 
     let mut solid = Solid { dims: field.band.dims(), inside: std::mem::take(&mut field.inside) };
-    let [nx, ny, _] = solid.dims;
-    let place_m = |at: usize| field.band.node_position_m([at % nx, at / nx % ny, at / (nx * ny)]);
+    let place_m = |at: usize| field.band.node_position_m(field.band.node(at));
     let mut dropped = solid.drop_small_pieces(params.smallest_piece_share);
     report.done.contacts_filled = solid.fill_contacts(&field.winding);
     dropped.extend(solid.fill_small_cavities(params.smallest_piece_share));

@@ -12,6 +12,7 @@ pub mod decimate;
 pub mod extract;
 pub mod repair;
 pub mod files;
+pub mod simplex;
 
 use crate::math::DVec3;
 

@@ -47,7 +47,8 @@ pub struct AdaptReport {
 }
 
 /// `mesh` with about `params.target_cells` cells, dense where the curvatures [1/m] and the distances to the
-/// data [m], one a vertex, are large. The number is missed only where no more cells can be joined.
+/// data [m], one a vertex, are large. The cells of `kept` vertices stay as they are. The number is missed only
+/// where no more cells can be joined or cut.
 ///
 /// # Panics
 /// If there are not as many curvatures and distances as vertices.
@@ -55,11 +56,17 @@ pub fn adapt(
     mesh: SimplexMesh,
     curvatures_per_m: &[f64],
     offsets_m: &[f64],
+    kept: &[u32],
     params: &AdaptParams,
 ) -> (SimplexMesh, AdaptReport) {
     assert_eq!([curvatures_per_m.len(), offsets_m.len()], [mesh.n_vertices(); 2], "one value a vertex");
+    let mut frozen = vec![false; mesh.n_cells()];
+    for &v in kept {
+        mesh.cells()[v as usize].iter().for_each(|&c| frozen[c as usize] = true);
+    }
     let mut work = Adaptation {
         weights: cell_weights(&mesh, curvatures_per_m, offsets_m, params),
+        frozen,
         edit: SimplexEdit::new(mesh),
         report: AdaptReport::default(),
     };
@@ -110,10 +117,16 @@ struct Adaptation {
     edit: SimplexEdit,
     /// Of each cell, removed ones included.
     weights: Vec<f64>,
+    /// Cells that stay, of those of the start.
+    frozen: Vec<bool>,
     report: AdaptReport,
 }
 
 impl Adaptation {
+    fn is_frozen(&self, cell: u32) -> bool {
+        self.frozen.get(cell as usize).is_some_and(|&f| f)
+    }
+
     /// Joins up to `most` pairs of cells that together weigh less than `limit`, the lightest first, no cell
     /// twice. Answers how many.
     fn merge(&mut self, limit: f64, most: usize) -> usize {
@@ -145,6 +158,9 @@ impl Adaptation {
             }
             let cells = self.edit.mesh().cells[v as usize];
             let [a, b] = [1, 2].map(|step| cells[(side + step) % 3]);
+            if self.is_frozen(a) || self.is_frozen(b) {
+                continue;
+            }
             if touched[a as usize] || touched[b as usize] || !self.edit.can_remove_edge(v, side) {
                 continue;
             }
@@ -186,7 +202,7 @@ impl Adaptation {
     /// Cuts up to `most` cells heavier than `limit`, the heaviest first. Answers how many.
     fn split(&mut self, limit: f64, most: usize) -> usize {
         let mut waiting: Vec<u32> = (0..self.weights.len() as u32)
-            .filter(|&c| self.edit.has_cell(c) && self.weights[c as usize] > limit)
+            .filter(|&c| self.edit.has_cell(c) && !self.is_frozen(c) && self.weights[c as usize] > limit)
             .collect();
         let weights = &self.weights;
         waiting.sort_by(|&a, &b| weights[b as usize].total_cmp(&weights[a as usize]));
@@ -228,6 +244,9 @@ impl Adaptation {
                     let gain = |change: i64, cells: [u32; 2]| {
                         cells.iter().map(|&c| off(c, 0) - off(c, change)).sum::<i64>()
                     };
+                    if losing.iter().chain(&gaining).any(|&c| self.is_frozen(c)) {
+                        continue;
+                    }
                     if gain(-1, losing) + gain(1, gaining) <= 0
                         || !swap_keeps_normals(self.edit.mesh(), losing, gaining)
                         || self.edit.swap_cells(v, side).is_none()

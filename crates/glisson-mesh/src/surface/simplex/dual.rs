@@ -10,16 +10,9 @@ use super::geometry::vertex_normals;
 use super::mesh::SimplexMesh;
 use crate::math::DVec3;
 use crate::surface::TriMesh;
-use crate::surface::error::{Place, SurfaceError};
-use crate::surface::intersect::self_intersections;
-use crate::surface::smooth::EdgeGraph;
 
 /// Rounds of moving the dual's vertices.
 const ROUNDS: usize = 3;
-/// Rounds of smoothing around crossings; by the last, eight rings around them are smooth.
-const MOST_UNTANGLING_ROUNDS: usize = 8;
-/// Smoothing sweeps of a round.
-const UNTANGLING_SWEEPS: usize = 4;
 
 /// Dual triangulation of `mesh` whose triangles pass through the simplex vertices, but for waves of a cell's
 /// size. Vertex `c` for cell `c`, triangle `v` for vertex `v`.
@@ -41,47 +34,4 @@ pub fn following_dual(mesh: &SimplexMesh) -> TriMesh {
         }
     }
     dual
-}
-
-/// Smooths `mesh` around crossing triangles, over wider and wider surroundings, until none cross. Answers how
-/// many vertices were moved.
-///
-/// # Errors
-/// [`SurfaceError::Tangled`] when that does not end.
-pub fn take_crossings_away(mesh: &mut TriMesh) -> Result<usize, SurfaceError> {
-    let mut moved = vec![false; mesh.positions_m.len()];
-    let mut graph = None;
-    for round in 0..=MOST_UNTANGLING_ROUNDS {
-        let pairs = self_intersections(mesh, usize::MAX);
-        let Some(first) = pairs.first() else { break };
-        if round == MOST_UNTANGLING_ROUNDS {
-            let place = Place(mesh.corners_m(first[0] as usize)[0]);
-            return Err(SurfaceError::Tangled { stage: "fitting", n: pairs.len(), place });
-        }
-        let graph = graph.get_or_insert_with(|| EdgeGraph::of_mesh(mesh));
-        let mut around: Vec<u32> = pairs.iter().flatten().flat_map(|&t| mesh.triangles[t as usize]).collect();
-        for _ in 0..round {
-            let beside: Vec<u32> =
-                around.iter().flat_map(|&v| graph.neighbours(v as usize)).copied().collect();
-            around.extend(beside);
-            around.sort_unstable();
-            around.dedup();
-        }
-        around.sort_unstable();
-        around.dedup();
-        around.iter().for_each(|&v| moved[v as usize] = true);
-        for _ in 0..UNTANGLING_SWEEPS {
-            let middles: Vec<DVec3> = around
-                .iter()
-                .map(|&v| {
-                    let ring = graph.neighbours(v as usize);
-                    ring.iter().map(|&n| mesh.positions_m[n as usize]).sum::<DVec3>() / ring.len() as f64
-                })
-                .collect();
-            for (&v, middle) in around.iter().zip(middles) {
-                mesh.positions_m[v as usize] = middle;
-            }
-        }
-    }
-    Ok(moved.into_iter().filter(|&m| m).count())
 }

@@ -17,8 +17,11 @@ pub struct DeformationLaw {
     pub damping: f64,
     /// Weight alpha of the internal force, 0 to 0.5: above, neighbours overtake each other.
     pub internal: f64,
-    /// Weight beta of the external force, 0 to 1.
+    /// Weight beta of the external force close to the data, 0 to 1.
     pub external: f64,
+    /// Distance to the data at which beta has doubled [m]: it grows as 1 + (distance / this)^2, so that data say
+    /// little within their own uncertainty and much beyond it. Infinite for a constant beta.
+    pub data_uncertainty_m: f64,
     /// What the simplex angles should be.
     pub smoothness: Smoothness,
     /// What the metric parameters should be.
@@ -37,6 +40,9 @@ pub struct DeformationStep {
     /// Vertices without data within reach.
     pub n_without_data: usize,
 }
+
+/// Largest beta far from the data.
+const LARGEST_EXTERNAL: f64 = 0.6;
 
 /// A mesh under way: its motion and the neighbourhoods of its vertices.
 pub struct Deformation {
@@ -63,9 +69,11 @@ impl Deformation {
         let at_m = mesh.positions_m();
         let moved = |v: usize| {
             let offset_m = attraction.and_then(|a| a.offset_m(at_m[v], normals[v]));
-            let external_m = offset_m.unwrap_or(0.0) * normals[v];
+            let distance_m = offset_m.unwrap_or(0.0);
+            let external = law.external * (1.0 + (distance_m / law.data_uncertainty_m).powi(2));
+            let external_m = external.min(LARGEST_EXTERNAL.max(law.external)) * distance_m * normals[v];
             let inertia_m = (1.0 - law.damping) * (at_m[v] - self.before_m[v]);
-            let step_m = inertia_m + law.internal * internal_m[v] + law.external * external_m;
+            let step_m = inertia_m + law.internal * internal_m[v] + external_m;
             let step_m = step_m.clamp_length_max(law.largest_move_m);
             (if step_m.is_finite() { at_m[v] + step_m } else { at_m[v] }, offset_m)
         };

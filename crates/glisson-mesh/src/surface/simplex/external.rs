@@ -13,6 +13,9 @@ use crate::surface::box_tree::BoxTree;
 /// Steps of the search along the normal, in smallest spacings.
 const SEARCH_STEP_SPACINGS: f64 = 0.4;
 
+/// How far smoothing may shift the border, in largest spacings: the steps of slices are half a spacing deep.
+const LARGEST_SHIFT_SPACINGS: f64 = 0.75;
+
 /// What a mesh is drawn to.
 pub enum Attraction<'a> {
     /// The border of a binary volume.
@@ -36,8 +39,8 @@ impl Attraction<'_> {
 
 /// A binary volume's border with sub-voxel places: where the smoothed mask is 1/2.
 ///
-/// Parts thinner than the smoothing vanish from the smoothed mask; there the mask itself, linear between voxel
-/// centres, has the border.
+/// Parts and gaps thinner than the smoothing vanish from the smoothed mask. Where its border is not within
+/// [`LARGEST_SHIFT_SPACINGS`] of that of the mask itself, linear between voxel centres, the latter counts.
 pub struct MaskBorder {
     smooth: Volume<f32>,
     sharp: Volume<f32>,
@@ -98,8 +101,11 @@ impl MaskBorder {
 
     /// As [`Attraction::offset_m`]: the nearest place where the mask ends in the direction of the normal.
     pub fn offset_m(&self, point_m: DVec3, normal: DVec3) -> Option<f64> {
-        falling_crossing_m(&self.smooth, point_m, normal, self.reach_m)
-            .or_else(|| falling_crossing_m(&self.sharp, point_m, normal, self.reach_m))
+        let sharp_m = falling_crossing_m(&self.sharp, point_m, normal, self.reach_m)?;
+        let shift_m = LARGEST_SHIFT_SPACINGS * self.sharp.grid.spacing_m.max_element();
+        let near_m = point_m + sharp_m * normal;
+        let smooth_m = falling_crossing_m(&self.smooth, near_m, normal, shift_m);
+        Some(sharp_m + smooth_m.unwrap_or(0.0))
     }
 }
 

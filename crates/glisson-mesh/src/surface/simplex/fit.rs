@@ -12,7 +12,7 @@
 use std::ops::ControlFlow;
 
 use super::adapt::{AdaptParams, AdaptReport, adapt};
-use super::dual::{following_dual, take_crossings_away};
+use super::dual::following_dual;
 use super::error::SimplexError;
 use super::evolve::{Deformation, DeformationLaw};
 use super::external::{Attraction, MaskBorder, SurfaceBorder};
@@ -24,8 +24,10 @@ use super::measure::{
 };
 use super::mesh::SimplexMesh;
 use super::neighbourhood::Neighbourhoods;
+use super::untangle::{crossing_vertices, return_from_crossings, smooth_crossings_away, surroundings};
 use crate::image::VoxelGrid;
 use crate::image::topology::repair_to_ball;
+use crate::math::Aabb;
 use crate::surface::TriMesh;
 use crate::surface::check::check_closed;
 use crate::surface::decimate::decimate;
@@ -121,7 +123,7 @@ pub struct SimplexFitReport {
     pub volume_offset_m: f64,
     /// Simplex vertices that had no data within reach at the end.
     pub n_without_data: usize,
-    /// Dual vertices moved back because triangles crossed.
+    /// Vertices moved back or smoothed because dual triangles crossed.
     pub n_untangled: usize,
     /// What all adaptations did together.
     pub adapted: AdaptReport,
@@ -143,6 +145,8 @@ pub struct SimplexFit {
 const DEFAULT_SHARE: f64 = 1.0 / 6.0;
 /// How far external forces look, in largest spacings.
 const REACH_SPACINGS: f64 = 4.0;
+/// How far the voxels' border is from the organ's, in largest spacings: half of a step.
+const DATA_UNCERTAINTY_SPACINGS: f64 = 0.5;
 /// Largest offset that restores the volume, in largest spacings.
 const LARGEST_VOLUME_OFFSET_SPACINGS: f64 = 0.3;
 
@@ -169,7 +173,9 @@ pub fn fit_simplex(
     };
     let (border, extracted) = surface_of_mask(grid, mask, &stairs)?;
     let mut solid = mask.to_vec();
-    repair_to_ball(grid, &mut solid).map_err(SurfaceError::from)?;
+    if extracted.repair.voxels_added + extracted.repair.voxels_removed > 0 {
+        repair_to_ball(grid, &mut solid).map_err(SurfaceError::from)?;
+    }
     let spacing_m = grid.spacing_m.max_element();
     let smoothing_m = params.mask_smoothing_spacings * spacing_m;
     let mask_border = MaskBorder::new(grid, &solid, smoothing_m, REACH_SPACINGS * spacing_m)?;
@@ -238,6 +244,11 @@ fn tell(
     }
 }
 
+/// Attempts at an adaptation without crossings.
+const MOST_ADAPT_ATTEMPTS: usize = 3;
+/// Rings around crossings whose cells the next attempt leaves as they were.
+const KEPT_RINGS: usize = 2;
+
 /// Share of the work before deformation, and after it.
 const SHARE_BEFORE: f64 = 0.3;
 const SHARE_AFTER: f64 = 0.1;
@@ -251,6 +262,16 @@ struct Fit<'a> {
     params: &'a SimplexFitParams,
 }
 
+/// What the rounds did.
+#[derive(Default)]
+struct Done {
+    adapted: AdaptReport,
+    n_without_data: usize,
+    n_untangled: usize,
+    /// The dual has no crossings.
+    is_clear: bool,
+}
+
 impl Fit<'_> {
     fn run(
         &self,
@@ -261,30 +282,33 @@ impl Fit<'_> {
         let target = (wanted / 2 * 2).clamp(8.min(extracted), extracted);
         tell(progress, "decimation", 0.5 * SHARE_BEFORE, None)?;
         let mut simplex = SimplexMesh::from_triangles(&decimate(self.data, target)?)?;
-        let mut adapted = AdaptReport::default();
-        let mut n_without_data = 0;
+        let mut done = Done { is_clear: crossing_vertices(&simplex).is_empty(), ..Done::default() };
         let n_rounds = self.params.n_adaptations + 1;
         for round in 0..n_rounds {
             if round > 0 {
-                let (next, done) = self.adapt(simplex, target / 2 + 2);
-                simplex = next;
-                adapted.n_split += done.n_split;
-                adapted.n_merged += done.n_merged;
-                adapted.n_swapped += done.n_swapped;
+                simplex = self.adapt(simplex, target / 2 + 2, &mut done);
             }
             let law = self.law(round > 0);
+            let before_m = simplex.positions_m().to_vec();
             let mut deformation = Deformation::at_rest(&simplex, &law);
             for step in 0..self.params.n_steps {
-                let done = deformation.step(&mut simplex, &law, Some(&self.attraction));
-                n_without_data = done.n_without_data;
+                let moved = deformation.step(&mut simplex, &law, Some(&self.attraction));
+                done.n_without_data = moved.n_without_data;
                 let steps_done = (round * self.params.n_steps + step + 1) as f64;
                 let share = steps_done / (n_rounds * self.params.n_steps) as f64;
                 let share = SHARE_BEFORE + (1.0 - SHARE_BEFORE - SHARE_AFTER) * share;
-                tell(progress, "deformation", share, Some(done.mean_offset_m))?;
+                tell(progress, "deformation", share, Some(moved.mean_offset_m))?;
+            }
+            if done.is_clear {
+                let (n, is_clear) = return_from_crossings(&mut simplex, &before_m);
+                done.n_untangled += n;
+                done.is_clear = is_clear;
+            } else {
+                done.is_clear = crossing_vertices(&simplex).is_empty();
             }
         }
         tell(progress, "dual", 1.0 - SHARE_AFTER, None)?;
-        self.finish(simplex, adapted, n_without_data)
+        self.finish(simplex, &done)
     }
 
     fn law(&self, gathering: bool) -> DeformationLaw {
@@ -292,6 +316,7 @@ impl Fit<'_> {
             damping: self.params.damping,
             internal: self.params.internal,
             external: self.params.external,
+            data_uncertainty_m: DATA_UNCERTAINTY_SPACINGS * self.spacing_m,
             smoothness: Smoothness::Curvature { rigidity: self.params.rigidity },
             spacing: if gathering && self.params.gathering > 0.0 {
                 Spacing::TowardsCurvature { gain: self.params.gathering }
@@ -302,7 +327,9 @@ impl Fit<'_> {
         }
     }
 
-    fn adapt(&self, simplex: SimplexMesh, target_cells: usize) -> (SimplexMesh, AdaptReport) {
+    /// Cuts and joins cells; where that makes triangles cross, another attempt leaves them as they were, and
+    /// after too many of these all stay.
+    fn adapt(&self, simplex: SimplexMesh, target_cells: usize, done: &mut Done) -> SimplexMesh {
         let curvatures = smooth_curvatures(&simplex, self.params.rigidity);
         let normals = vertex_normals(&simplex);
         let places = simplex.positions_m().iter().zip(&normals);
@@ -310,17 +337,35 @@ impl Fit<'_> {
             places.map(|(&p, &n)| self.attraction.offset_m(p, n).unwrap_or(self.spacing_m)).collect();
         let adapt_params =
             AdaptParams { target_cells, contrast: self.params.contrast, tolerance_m: self.spacing_m };
-        adapt(simplex, &curvatures, &offsets_m, &adapt_params)
+        let mut kept = Vec::new();
+        for _ in 0..MOST_ADAPT_ATTEMPTS {
+            let (next, report) = adapt(simplex.clone(), &curvatures, &offsets_m, &kept, &adapt_params);
+            let crossing = if done.is_clear { crossing_vertices(&next) } else { Vec::new() };
+            if crossing.is_empty() {
+                done.adapted.n_split += report.n_split;
+                done.adapted.n_merged += report.n_merged;
+                done.adapted.n_swapped += report.n_swapped;
+                return next;
+            }
+            let around = surroundings(&next, &crossing, KEPT_RINGS);
+            let box_of = |v: &u32| {
+                let cells = next.cells()[*v as usize];
+                let corners_m = cells.map(|c| next.contour(c)).concat();
+                Aabb::of_points(
+                    &corners_m.iter().map(|&w| next.positions_m()[w as usize]).collect::<Vec<_>>(),
+                )
+            };
+            let boxes: Vec<Aabb> = crossing.iter().chain(&around).map(box_of).collect();
+            let n = simplex.n_vertices() as u32;
+            let is_near = |v: &u32| boxes.iter().any(|b| b.contains(simplex.positions_m()[*v as usize]));
+            kept.extend((0..n).filter(is_near));
+        }
+        simplex
     }
 
-    fn finish(
-        &self,
-        simplex: SimplexMesh,
-        adapted: AdaptReport,
-        n_without_data: usize,
-    ) -> Result<SimplexFit, SimplexError> {
+    fn finish(&self, simplex: SimplexMesh, done: &Done) -> Result<SimplexFit, SimplexError> {
         let mut mesh = following_dual(&simplex);
-        let n_untangled = take_crossings_away(&mut mesh)?;
+        let n_untangled = done.n_untangled + smooth_crossings_away(&mut mesh)?;
         let volume_offset_m = self.restore_volume(&mut mesh);
         let topology = check_closed(&mesh)?;
         simplex.check()?;
@@ -337,9 +382,9 @@ impl Fit<'_> {
             data_volume_m3: self.data_volume_m3,
             volume_m3: topology.volume_m3,
             volume_offset_m,
-            n_without_data,
+            n_without_data: done.n_without_data,
             n_untangled,
-            adapted,
+            adapted: done.adapted,
         };
         Ok(SimplexFit { simplex, mesh, report })
     }

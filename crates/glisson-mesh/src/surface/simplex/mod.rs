@@ -18,5 +18,6 @@ pub mod evolve;
 pub mod edit;
 pub mod adapt;
 pub mod dual;
+pub mod untangle;
 pub mod measure;
 pub mod fit;

@@ -15,6 +15,8 @@ mod mesh_repair;
 mod meshing;
 mod sample_edits;
 mod sample_images;
+mod simplex;
+mod simplex_fit;
 mod surface_files;
 mod surface_gltf;
 mod surface_repair;

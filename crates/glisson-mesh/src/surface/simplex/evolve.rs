@@ -19,8 +19,8 @@ pub struct DeformationLaw {
     pub internal: f64,
     /// Weight beta of the external force close to the data, 0 to 1.
     pub external: f64,
-    /// Distance to the data at which beta has doubled [m]: it grows as 1 + (distance / this)^2, so that data say
-    /// little within their own uncertainty and much beyond it. Infinite for a constant beta.
+    /// Distance to the data at which beta has doubled and alpha halved [m]: by the factor 1 + (distance / this)^2,
+    /// so that data say little within their own uncertainty and much beyond it. Infinite for constant weights.
     pub data_uncertainty_m: f64,
     /// What the simplex angles should be.
     pub smoothness: Smoothness,
@@ -70,10 +70,11 @@ impl Deformation {
         let moved = |v: usize| {
             let offset_m = attraction.and_then(|a| a.offset_m(at_m[v], normals[v]));
             let distance_m = offset_m.unwrap_or(0.0);
-            let external = law.external * (1.0 + (distance_m / law.data_uncertainty_m).powi(2));
+            let certainty = 1.0 + (distance_m / law.data_uncertainty_m).powi(2);
+            let external = law.external * certainty;
             let external_m = external.min(LARGEST_EXTERNAL.max(law.external)) * distance_m * normals[v];
             let inertia_m = (1.0 - law.damping) * (at_m[v] - self.before_m[v]);
-            let step_m = inertia_m + law.internal * internal_m[v] + external_m;
+            let step_m = inertia_m + law.internal / certainty * internal_m[v] + external_m;
             let step_m = step_m.clamp_length_max(law.largest_move_m);
             (if step_m.is_finite() { at_m[v] + step_m } else { at_m[v] }, offset_m)
         };

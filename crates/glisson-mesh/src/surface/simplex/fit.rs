@@ -78,7 +78,7 @@ impl Default for SimplexFitParams {
             contrast: 6.0,
             gathering: 0.1,
             n_adaptations: 3,
-            n_steps: 30,
+            n_steps: 20,
             cap_at_border: false,
             largest_repair: 0.05,
         }

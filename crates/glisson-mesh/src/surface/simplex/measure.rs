@@ -48,7 +48,7 @@ pub fn surface_distances(from: &TriMesh, to: &TriMesh) -> DistanceSummary {
 }
 
 /// Mean curvature at each vertex of a closed triangulation [1/m], positive where convex: the cotangent
-/// Laplacian over a third of the triangles' area (M. Meyer, M. Desbrun, P. Schröder and A. Barr, "Discrete
+/// Laplacian over the vertex's Voronoi area, or the usual share of obtuse triangles (M. Meyer, M. Desbrun, P. Schröder and A. Barr, "Discrete
 /// differential-geometry operators for triangulated 2-manifolds", 2003, doi 10.1007/978-3-662-05105-4_2).
 pub fn triangulation_mean_curvatures_per_m(mesh: &TriMesh) -> Vec<f64> {
     let mut laplacians = vec![(DVec3::ZERO, 0.0); mesh.positions_m.len()];
@@ -58,13 +58,25 @@ pub fn triangulation_mean_curvatures_per_m(mesh: &TriMesh) -> Vec<f64> {
         if doubled_area_m2 <= 0.0 {
             continue;
         }
+        let cotangents = [0, 1, 2].map(|c| {
+            let [u, v] = [1, 2].map(|step| corners_m[(c + step) % 3] - corners_m[c]);
+            u.dot(v) / doubled_area_m2
+        });
+        let is_obtuse = cotangents.iter().any(|&x| x < 0.0);
         for c in 0..3 {
             let (p, q) = ((c + 1) % 3, (c + 2) % 3);
-            let cotangent = (corners_m[p] - corners_m[c]).dot(corners_m[q] - corners_m[c]) / doubled_area_m2;
-            let half = 0.5 * cotangent * (corners_m[p] - corners_m[q]);
+            let edge_m = corners_m[p] - corners_m[q];
+            let half = 0.5 * cotangents[c] * edge_m;
             laplacians[triangle[p] as usize].0 += half;
             laplacians[triangle[q] as usize].0 -= half;
-            laplacians[triangle[c] as usize].1 += doubled_area_m2 / 6.0;
+            if is_obtuse {
+                let share = if cotangents[c] < 0.0 { 0.25 } else { 0.125 };
+                laplacians[triangle[c] as usize].1 += share * doubled_area_m2;
+            } else {
+                let voronoi_m2 = 0.125 * cotangents[c] * edge_m.length_squared();
+                laplacians[triangle[p] as usize].1 += voronoi_m2;
+                laplacians[triangle[q] as usize].1 += voronoi_m2;
+            }
         }
     }
     let normals = vertex_normals(mesh, NormalWeight::Area);

@@ -617,7 +617,7 @@ fn simplex_adaptation_meets_its_number_and_gathers_cells_at_curvature() {
     let before = density_correlation(&mesh, &curvatures);
     let adapted = relaxed(adapt(mesh.clone(), &curvatures, &zeros, &[], &params).0);
     let after = density_correlation(&adapted, &curvatures_of(&adapted));
-    assert!(after > 0.6 && after > before + 0.2, "{after} from {before}");
+    assert!(after > 0.5 && after > before + 0.2, "{after} from {before}");
     // Far from the data: as dense as twice the area asks for. Kept cells stay.
     let far: Vec<f64> = mesh.positions_m().iter().map(|p| if p.x > 0.0 { 2e-3 } else { 0.0 }).collect();
     let (dense, _) = adapt(mesh.clone(), &zeros, &far, &[], &params);

@@ -163,8 +163,9 @@ impl GradientBorder<'_> {
         let step_m = 0.5 * self.image.grid.spacing_m.min_element();
         let n_steps = (self.reach_m / step_m).ceil() as i64;
         let value = |i: i64| trilinear(self.image, point_m + (i as f64 * step_m) * normal);
+        // Over two voxels: within one the values are linear and the slope has no peak.
         let slope = |i: i64| {
-            let rise = (value(i + 1) - value(i - 1)) / (2.0 * step_m);
+            let rise = (value(i + 2) - value(i - 2)) / (4.0 * step_m);
             match self.polarity {
                 EdgePolarity::BrightInside => -rise,
                 EdgePolarity::DarkInside => rise,

@@ -3,7 +3,8 @@
 //! The share of region r at place x is `phi_r(x) = sum of w(x - x_v) over the voxels v of r`, with the tensor product of
 //! cubic B-splines `w` of half width `2 a` along each voxel axis (variance `a^2 / 3`; twice continuously differentiable, so
 //! that borders have normals), divided by the sum over all voxels. All shares, that of the outside (region 0) included, add
-//! up to 1. The border of two regions is where their shares are equal (indicator functions as in Bronson, Levine and
+//! up to 1. The border of two regions is where their shares are equal, that of any with the outside where the outside's share is a
+//! half: so the outer surface runs on smoothly where an interface meets it (indicator functions as in Bronson, Levine and
 //! Whitaker, Lattice Cleaving, IEEE Transactions on Visualization and Computer Graphics 20(2), 2014,
 //! doi 10.1109/TVCG.2013.115).
 
@@ -60,11 +61,6 @@ impl<'a> ShareField<'a> {
         self.flat_slope
     }
 
-    /// How far voxels are seen along each axis of the map [m].
-    pub(super) fn reach_m(&self) -> DVec3 {
-        2.0 * self.scale_voxels * self.regions.grid().spacing_m
-    }
-
     /// Room for the shares at a place.
     pub(super) fn shares(&self) -> Shares {
         let n = self.regions.n_regions() + 1;
@@ -110,6 +106,18 @@ impl<'a> ShareField<'a> {
             outside.1 -= *g;
         }
         (value[0], gradient[0]) = outside;
+    }
+}
+
+impl Shares {
+    /// By how much region `a` leads over region `b` (ascending numbers, `b` before `a`), and its gradient [1/m]: positive on the
+    /// side of a, 0 on the border.
+    pub(super) fn lead(&self, b: usize, a: usize) -> (f64, DVec3) {
+        if b == 0 {
+            // Over all regions together: phi_a - phi_0 where there is no third region.
+            return (1.0 - 2.0 * self.value[0], -2.0 * self.gradient[0]);
+        }
+        (self.value[a] - self.value[b], self.gradient[a] - self.gradient[b])
     }
 }
 

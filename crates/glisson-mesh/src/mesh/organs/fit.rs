@@ -1,16 +1,17 @@
 //! Interface nodes are brought to the true borders, the others make room: guarded moves of nodes.
 //!
 //! A node at which regions a, b, ... meet belongs where `phi_a + l_a = phi_b + l_b = ...`, with the smooth shares `phi` of
-//! [`super::field`] and a level `l` a region, by which the volumes are corrected ([`super::levels`]). With the differences
-//! `psi` and their Jacobian `J` a sweep wants
+//! [`super::field`] and a level `l` a region, by which the volumes are corrected ([`super::levels`]); one at which they meet the
+//! outside where `1 - 2 phi_0 + (mean of l_a, l_b, ...) = 0` besides. With these differences `psi` and their Jacobian `J` a sweep
+//! wants
 //!
 //! `d = -(J^T J + lambda I)^-1 J^T psi + theta (1 - (J^T J + lambda I)^-1 J^T J) (mean of neighbours - x)`
 //!
 //! a Levenberg-Marquardt step across the border, and along it, where nothing else holds the node, a part of the way to the
 //! middle of its neighbours on the same border. Wanted steps are computed for all nodes at once (in parallel, each by
 //! itself); then node by node, in their order, as much of the step is done as keeps the dihedral angles around the node
-//! above [`GUARD_DEG`] or at least not worse than before. Nodes within a region move where the worst angle around them
-//! improves. (Freitag and Ollivier-Gooch, Tetrahedral mesh improvement using swapping and smoothing, 1997,
+//! above [`GUARD_DEG`] or at least not worse than before. Nodes within a region, and along their borders those with bad
+//! angles, move where the worst angle around them improves. (Freitag and Ollivier-Gooch, Tetrahedral mesh improvement using swapping and smoothing, 1997,
 //! doi 10.1002/(SICI)1097-0207(19971115)40:21<3979::AID-NME251>3.0.CO;2-9, for guarded smoothing by the worst angle.)
 
 use super::complex::{Complex, NO_REGION, Stars};
@@ -27,6 +28,9 @@ pub(super) const GUARD_DEG: f64 = 12.0;
 
 /// Stars with larger angles than this [degrees] are not improved.
 const GOOD_DEG: f64 = 30.0;
+
+/// Nodes on borders are not moved along them for larger angles than this [degrees].
+const BEARABLE_DEG: f64 = 18.0;
 
 /// Longest step across a border in a sweep, over the cell.
 const LONGEST_STEP_OVER_CELL: f64 = 0.25;
@@ -59,6 +63,13 @@ pub(super) struct Fit<'a> {
     first_m: Vec<DVec3>,
 }
 
+/// `(J^T J + lambda I)^-1`, `J^T J` and `J^T psi` at a node.
+struct Border {
+    inverse: DMat3,
+    normal_matrix: DMat3,
+    residual: DVec3,
+}
+
 impl<'a> Fit<'a> {
     pub(super) fn new(complex: Complex, field: &'a ShareField<'a>, levels: Levels, cell_m: f64) -> Self {
         let n_nodes = complex.positions_m.len();
@@ -89,33 +100,55 @@ impl<'a> Fit<'a> {
             .collect();
         self.move_border_nodes(&wishes);
         self.improve_inner_nodes();
+        self.improve_border_nodes();
     }
 
     /// The step that node `node` on a border wants to take.
     fn wish(&self, node: usize, shares: &mut Shares) -> DVec3 {
         let at_m = self.complex.positions_m[node];
-        self.field.sample_into(at_m, shares);
-        let damping = DAMPING * self.field.flat_slope() * self.field.flat_slope();
-        let (normal_matrix, residual) = self.border_system(node, shares);
-        let inverse = (normal_matrix + DMat3::from_diagonal(DVec3::splat(damping))).inverse();
+        let Border { inverse, normal_matrix, residual } = self.border(node, shares);
         let across_m = -(inverse * residual);
         let along_m = self.middle_of_neighbours_m(node) - at_m;
         let along_m = ALONG * (along_m - inverse * (normal_matrix * along_m));
-        let step_m = across_m.clamp_length_max(LONGEST_STEP_OVER_CELL * self.cell_m)
-            + along_m.clamp_length_max(LONGEST_STEP_OVER_CELL * self.cell_m);
+        let longest_m = LONGEST_STEP_OVER_CELL * self.cell_m;
+        let step_m = across_m.clamp_length_max(longest_m) + along_m.clamp_length_max(longest_m);
         if step_m.is_finite() { step_m } else { DVec3::ZERO }
+    }
+
+    /// The border at a node.
+    fn border(&self, node: usize, shares: &mut Shares) -> Border {
+        self.field.sample_into(self.complex.positions_m[node], shares);
+        let damping = DAMPING * self.field.flat_slope() * self.field.flat_slope();
+        let (normal_matrix, residual) = self.border_system(node, shares);
+        let inverse = (normal_matrix + DMat3::from_diagonal(DVec3::splat(damping))).inverse();
+        Border { inverse, normal_matrix, residual }
     }
 
     /// `J^T J` and `J^T psi` of the regions that meet in `node`.
     fn border_system(&self, node: usize, shares: &Shares) -> (DMat3, DVec3) {
-        let regions = self.complex.node_regions[node];
-        let first = usize::from(regions[0]);
+        let regions = &self.complex.node_regions[node][..self.complex.n_regions_at(node)];
         let (mut matrix, mut residual) = (DMat3::ZERO, DVec3::ZERO);
-        for region in regions[1..].iter().filter(|&&r| r != NO_REGION).map(|&r| usize::from(r)) {
-            let row = shares.gradient[region] - shares.gradient[first];
-            let psi = shares.value[region] - shares.value[first] + self.levels.difference(region, first);
+        let mut add = |psi: f64, row: DVec3| {
             matrix += outer(row, row);
             residual += row * psi;
+        };
+        // Against the outside once, for all others together; among the others each against the first.
+        let (is_outer, inner) = match regions {
+            [0, inner @ ..] => (true, inner),
+            inner => (false, inner),
+        };
+        let inner = inner.iter().map(|&r| usize::from(r));
+        if is_outer {
+            let (psi, row) = shares.lead(0, 1);
+            let level: f64 = inner.clone().map(|r| self.levels.difference(r, 0)).sum();
+            add(psi + level / inner.len() as f64, row);
+        }
+        let mut inner = inner;
+        if let Some(first) = inner.next() {
+            for region in inner {
+                let (psi, row) = shares.lead(first, region);
+                add(psi + self.levels.difference(region, first), row);
+            }
         }
         (matrix, residual)
     }
@@ -178,6 +211,33 @@ impl<'a> Fit<'a> {
                 if is_outside && to_m.distance(self.first_m[node]) > range_m {
                     continue;
                 }
+                let (then, _) = shape.worst_at(&self.complex, node, to_m);
+                if then < now {
+                    (now, best_m) = (then, to_m);
+                }
+            }
+            self.complex.positions_m[node] = best_m;
+        }
+    }
+
+    /// Moves nodes along their borders where the worst angle around them is bad and improves.
+    fn improve_border_nodes(&mut self) {
+        let bearable = libm::cos(BEARABLE_DEG.to_radians());
+        let mut shares = self.field.shares();
+        for at in 0..self.border_nodes.len() {
+            let node = self.border_nodes[at] as usize;
+            let at_m = self.complex.positions_m[node];
+            let shape = StarShape { stars: &self.stars, cell_m: self.cell_m };
+            let (mut now, tet) = shape.worst_at(&self.complex, node, at_m);
+            if now < bearable || tet == u32::MAX {
+                continue;
+            }
+            let border = self.border(node, &mut shares);
+            let away = self.away_from_opposite_face(tet, node);
+            let along = (away - border.inverse * (border.normal_matrix * away)).normalize_or_zero();
+            let mut best_m = at_m;
+            for part in [0.12, 0.04, -0.04, 0.013] {
+                let to_m = at_m + part * self.cell_m * along;
                 let (then, _) = shape.worst_at(&self.complex, node, to_m);
                 if then < now {
                     (now, best_m) = (then, to_m);

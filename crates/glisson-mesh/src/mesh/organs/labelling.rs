@@ -120,8 +120,19 @@ impl Labelling {
         n_nodes
     }
 
-    /// Gives the nodes of crumbs the region that most of their neighbours have. The last piece of a region stays.
-    fn remove_crumbs(&mut self, n_regions: usize) {
+    /// Number of connected pieces of each region, 0 first. The region's tetrahedra have as many: they deform onto its nodes and
+    /// the edges, triangles and tetrahedra between these.
+    pub(super) fn n_pieces_of_regions(&self, n_regions: usize) -> Vec<usize> {
+        let mut pieces = self.pieces();
+        let mut n_pieces = vec![0; n_regions + 1];
+        for node in 0..self.regions.len() {
+            n_pieces[usize::from(self.regions[node])] += usize::from(pieces.root(node) == node);
+        }
+        n_pieces
+    }
+
+    /// Lattice nodes of the same region joined by edges.
+    fn pieces(&self) -> DisjointSets {
         let mut pieces = DisjointSets::new(self.regions.len());
         for_each_lattice_tet(&self.lattice, |nodes| {
             for a in 0..4 {
@@ -132,6 +143,12 @@ impl Labelling {
                 }
             }
         });
+        pieces
+    }
+
+    /// Gives the nodes of crumbs the region that most of their neighbours have. The last piece of a region stays.
+    fn remove_crumbs(&mut self, n_regions: usize) {
+        let mut pieces = self.pieces();
         let n = self.regions.len();
         let mut size = vec![0usize; n];
         let mut largest = vec![0usize; n_regions + 1];
@@ -173,7 +190,7 @@ struct Chunk {
     mixed: Vec<MixedNode>,
 }
 
-/// A lattice node that sees more than one region: the largest shares there.
+/// A lattice node that sees more than one region: the outside's share if there is one, and the largest others.
 struct MixedNode {
     node: usize,
     shares: [(u16, f32); N_SHARES],
@@ -193,7 +210,8 @@ impl Chunk {
             found.clear();
             found
                 .extend((0u16..).zip(&shares.value).filter(|&(_, &v)| v > 1e-6).map(|(r, &v)| (r, v as f32)));
-            found.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+            // The outside first, then the largest.
+            found.sort_by(|a, b| (b.0 == 0).cmp(&(a.0 == 0)).then(b.1.total_cmp(&a.1)).then(a.0.cmp(&b.0)));
             chunk.regions.push(found.first().map_or(0, |f| f.0));
             if found.len() > 1 {
                 let shares = std::array::from_fn(|at| found.get(at).copied().unwrap_or((found[0].0, 0.0)));
@@ -205,18 +223,28 @@ impl Chunk {
 }
 
 impl MixedNode {
-    /// Region with the largest levelled share, and by how much it leads over the next, which follows.
+    /// Region of the node with these levels, the region that would be next, and by how much the first leads.
     fn leader(&self, levels: &[f64]) -> (u16, u16, f64) {
         let (mut best, mut next) = ((0, f64::NEG_INFINITY), (0, f64::NEG_INFINITY));
-        for (region, share) in self.shares.iter().filter(|s| s.1 > 0.0) {
-            let value = f64::from(*share) + levels[usize::from(*region)];
+        let mut outside = 0.0;
+        for &(region, share) in self.shares.iter().filter(|s| s.1 > 0.0) {
+            if region == 0 {
+                outside = f64::from(share);
+                continue;
+            }
+            let value = f64::from(share) + levels[usize::from(region)];
             if value > best.1 {
-                (next, best) = (best, (*region, value));
+                (next, best) = (best, (region, value));
             } else if value > next.1 {
-                next = (*region, value);
+                next = (region, value);
             }
         }
-        (best.0, next.0, best.1 - next.1)
+        let over_outside = 1.0 - 2.0 * outside + levels[usize::from(best.0)];
+        if over_outside <= 0.0 {
+            return (0, best.0, -over_outside);
+        }
+        let over_next = best.1 - next.1;
+        if over_outside < over_next { (best.0, 0, over_outside) } else { (best.0, next.0, over_next) }
     }
 }
 

@@ -13,8 +13,8 @@ use super::complex::Complex;
 use super::field::ShareField;
 use super::interface_faces::InterfaceFace;
 
-/// No level is farther from 0: at 0.5 a region would grow over any other.
-pub(super) const LARGEST_LEVEL: f64 = 0.35;
+/// No level is farther from 0: it moves a flat border by a sixth of a cell.
+pub(super) const LARGEST_LEVEL: f64 = 0.5;
 
 /// Largest change in a step.
 const LARGEST_CHANGE: f64 = 0.1;

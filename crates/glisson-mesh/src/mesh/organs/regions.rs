@@ -24,6 +24,13 @@ impl RegionGrid {
         if map.labels.len() != grid.n_voxels() {
             return Err(OrganMeshError::BadMap { found: map.labels.len(), allowed: grid.n_voxels() });
         }
+        if labels.contains(&0) {
+            return Err(OrganMeshError::BadParameter {
+                what: "a wanted label",
+                found: "0".into(),
+                allowed: "1 to 65535, 0 being the outside,".into(),
+            });
+        }
         let mut wanted = if labels.is_empty() { map.present() } else { labels.to_vec() };
         wanted.sort_unstable();
         wanted.dedup();

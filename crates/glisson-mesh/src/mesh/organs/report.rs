@@ -1,6 +1,6 @@
 //! How well a mesh of several organs met what was wanted.
 
-use super::complex::{Complex, NO_REGION};
+use super::complex::{Complex, n_regions};
 use super::field::ShareField;
 use super::interface_faces::InterfaceFace;
 use super::labelling::Labelling;
@@ -23,9 +23,11 @@ pub struct LabelReport {
     /// Its lattice nodes: inner nodes of the organ. The volume is met within 1.5 % for an organ most of which is at least
     /// two cells thick.
     pub n_lattice_nodes: usize,
-    /// By how much its share was raised against those of its neighbours to meet the volume, -0.35 to 0.35. At an end of that
+    /// By how much its share was raised against those of its neighbours to meet the volume, -0.5 to 0.5. At an end of that
     /// range the organ is too thin for the cells.
     pub level: f64,
+    /// Pieces connected by faces. More than the organ has: its thin parts fell between the lattice's nodes.
+    pub n_pieces: usize,
 }
 
 impl LabelReport {
@@ -88,6 +90,7 @@ pub(super) fn label_reports(
     let n_regions = regions.n_regions();
     let volumes_m3 = complex.volumes_m3(n_regions);
     let n_lattice_nodes = labelling.n_nodes_of_regions(n_regions);
+    let n_pieces = labelling.n_pieces_of_regions(n_regions);
     let mut n_tets = vec![0; n_regions + 1];
     for &region in &complex.tet_regions {
         n_tets[usize::from(region)] += 1;
@@ -101,6 +104,7 @@ pub(super) fn label_reports(
             voxel_volume_m3,
             n_lattice_nodes: n_lattice_nodes[at],
             level: levels.of_regions()[at],
+            n_pieces: n_pieces[at],
         }
     });
     described.collect()
@@ -110,7 +114,7 @@ pub(super) fn label_reports(
 const LEAST_SLOPE: f64 = 0.3;
 
 /// Root mean square and largest distance [m] of the nodes and face centres of interfaces from the places where the
-/// (unlevelled) shares of their regions are equal.
+/// (unlevelled) shares make their regions equal.
 pub(super) fn interface_distance_m(
     complex: &Complex,
     faces: &[InterfaceFace],
@@ -120,8 +124,8 @@ pub(super) fn interface_distance_m(
     let (mut sum_m2, mut n, mut largest_m) = (0.0, 0.0, 0.0f64);
     let mut add = |position_m, [a, b]: [usize; 2]| {
         field.sample_into(position_m, &mut shares);
-        let psi = shares.value[a] - shares.value[b];
-        let slope = (shares.gradient[a] - shares.gradient[b]).length();
+        let (psi, gradient) = shares.lead(a, b);
+        let slope = gradient.length();
         let distance_m = (psi / slope.max(LEAST_SLOPE * field.flat_slope())).abs();
         sum_m2 += distance_m * distance_m;
         n += 1.0;
@@ -132,10 +136,8 @@ pub(super) fn interface_distance_m(
         add((a + b + c) / 3.0, face.regions.map(usize::from));
     }
     for (position_m, regions) in complex.positions_m.iter().zip(&complex.node_regions) {
-        if let [a, b, NO_REGION, NO_REGION] = *regions {
-            if b != NO_REGION {
-                add(*position_m, [a, b].map(usize::from));
-            }
+        if n_regions(regions) == 2 {
+            add(*position_m, [regions[0], regions[1]].map(usize::from));
         }
     }
     [if n > 0.0 { (sum_m2 / n).sqrt() } else { 0.0 }, largest_m]

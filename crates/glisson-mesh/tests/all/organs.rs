@@ -221,6 +221,45 @@ fn organs_a_little_apart_do_not_run_into_each_other() {
 }
 
 #[test]
+fn a_vein_and_a_sheet_two_cells_thick_keep_their_volumes() {
+    let cell_m = 3e-3;
+    let map = painted([64, 44, 44], 1e-3, |_| 0);
+    let middle = middle_m(&map);
+    let along = DVec3::new(0.9, 0.3, 0.3).normalize();
+    let map = painted([64, 44, 44], 1e-3, |p| {
+        let q = p - middle;
+        if q.x.abs() > 0.028 || q.y.abs() > 0.018 || q.z.abs() > 0.018 {
+            return 0;
+        }
+        // A slanted vein of two cells across in the first half, a sheet two cells thick at the end.
+        match (q - q.dot(along) * along).length() < cell_m {
+            true if q.x < 0.015 => 2,
+            _ if (0.018..0.018 + 2.0 * cell_m).contains(&q.x) => 3,
+            _ => 1,
+        }
+    });
+    let organs = meshed(&map, cell_m);
+    assert_is_sound(&organs);
+    assert_volumes_hold(&organs, &[1, 2, 3]);
+    let n_pieces: Vec<usize> = organs.report.labels.iter().map(|l| l.n_pieces).collect();
+    assert_eq!(n_pieces, [2, 1, 1], "the sheet cuts off the end of the box");
+}
+
+#[test]
+fn a_crumb_is_dropped() {
+    let map = painted([40, 24, 24], 1e-3, |_| 0);
+    let middle = middle_m(&map);
+    let map = painted([40, 24, 24], 1e-3, |p| {
+        let (body, crumb) = (middle - DVec3::X * 8e-3, middle + DVec3::X * 13e-3);
+        u16::from(p.distance(body) < 8e-3 || p.distance(crumb) < 2.2e-3)
+    });
+    let organs = meshed(&map, 3e-3);
+    assert_is_sound(&organs);
+    assert_eq!(organs.report.labels[0].n_pieces, 1);
+    assert!((1..4).contains(&organs.report.n_crumb_nodes), "{}", organs.report.n_crumb_nodes);
+}
+
+#[test]
 fn slanted_thick_slices_are_meshed_in_the_patient_frame() {
     let axes = DMat3::from_rotation_x(0.4) * DMat3::from_rotation_z(0.7);
     let grid = VoxelGrid {

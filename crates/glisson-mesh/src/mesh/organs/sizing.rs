@@ -61,7 +61,12 @@ fn with_count(regions: &RegionGrid, wanted: f64) -> Result<Sized, OrganMeshError
     let mut cell_m = 1.3 * libm::cbrt(total_m3(regions) / TETRAHEDRON_OVER_CELL / wanted);
     let mut best: Option<(f64, Sized)> = None;
     for _ in 0..MOST_TRIALS {
-        let labelling = labelled(regions, cell_m)?;
+        let labelling = match labelled(regions, cell_m) {
+            Ok(labelling) => labelling,
+            // A trial went beyond what is allowed on the way to a number that is.
+            Err(_) if best.is_some() => break,
+            Err(error) => return Err(error),
+        };
         let ratio = (labelling.n_tets() as f64 / wanted).max(1e-3);
         let off = libm::log(ratio).abs();
         if best.as_ref().is_none_or(|(least, _)| off < *least) {

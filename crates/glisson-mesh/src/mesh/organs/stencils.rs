@@ -244,11 +244,11 @@ mod tests {
             assert_eq!(complex.tets.len(), n_expected);
             let volume: f64 = complex.volumes_m3(5).iter().sum();
             assert!((volume - f64::from(n_lattice) / 12.0).abs() < 1e-9);
-            let largest_cosine = (0..complex.tets.len())
-                .map(|t| dihedral_cosine_range(complex.corners_m(t))[1])
-                .fold(-1.0, f64::max);
-            let smallest_deg = largest_cosine.acos().to_degrees();
-            assert!(smallest_deg > 15.0, "{smallest_deg}");
+            let cosines = (0..complex.tets.len()).map(|t| dihedral_cosine_range(complex.corners_m(t)));
+            let [low, high] = cosines.fold([1.0f64, -1.0f64], |[l, h], [low, high]| [l.min(low), h.max(high)]);
+            let [smallest_deg, largest_deg] = [high, low].map(|cosine| cosine.acos().to_degrees());
+            assert!(smallest_deg > 18.0, "{smallest_deg}");
+            assert!(largest_deg < 150.0, "{largest_deg}");
         }
     }
 }

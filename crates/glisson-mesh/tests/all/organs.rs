@@ -128,7 +128,7 @@ fn the_phantoms_organs_share_their_interfaces() {
         Tissue::VenaCava,
     ];
     let labels = tissues.map(Tissue::label).to_vec();
-    let params = OrganMeshParams { labels: labels.clone(), size: OrganSize::Tetrahedra(60_000) };
+    let params = OrganMeshParams { labels: labels.clone(), size: OrganSize::Tetrahedra(40_000) };
     let mut told = Vec::new();
     // The great vessels and the stomach reach the end of the image.
     let error = mesh_organs(&patient.labels, &params, &mut |_| ()).unwrap_err();
@@ -136,10 +136,10 @@ fn the_phantoms_organs_share_their_interfaces() {
     let params = OrganMeshParams { labels: labels[..6].to_vec(), ..params };
     let organs = mesh_organs(&patient.labels, &params, &mut |share| told.push(share)).unwrap();
     assert_is_sound(&organs);
-    assert!((organs.report.n_tets as f64 / 60_000.0 - 1.0).abs() < 0.05, "{}", organs.report.n_tets);
-    // Cells of 9 mm: the veins are thinner than that, the tumour is one and a half across.
+    assert!((organs.report.n_tets as f64 / 40_000.0 - 1.0).abs() < 0.05, "{}", organs.report.n_tets);
+    // Cells of 10 mm: the veins are thinner than that, the tumour is one and a half across.
     assert_volumes_hold(&organs, &[1, 5, 7]);
-    assert!(organs.report.interface_rms_m < 0.1 * organs.report.cell_m, "{:?}", organs.report);
+    assert!(organs.report.interface_rms_m < 0.12 * organs.report.cell_m, "{:?}", organs.report);
     let neighbours = organs.neighbours();
     for pair in [[0, 1], [1, 2], [1, 3], [1, 4], [1, 5], [1, 7], [0, 7]] {
         assert!(neighbours.contains(&pair), "{neighbours:?}");
@@ -371,7 +371,7 @@ fn random_map(seed: u64, n: usize, n_labels: u64) -> LabelMap {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 10, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 6, ..ProptestConfig::default() })]
 
     #[test]
     fn any_labels_give_a_sound_mesh_of_organs(

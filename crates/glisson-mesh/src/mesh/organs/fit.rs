@@ -12,7 +12,7 @@
 //! itself); then node by node, in their order, as much of the step is done as keeps the dihedral angles around the node
 //! above [`GUARD_DEG`] or at least not worse than before. Nodes within a region, and along their borders those with bad
 //! angles, move where the worst angle around them improves. (Freitag and Ollivier-Gooch, Tetrahedral mesh improvement using swapping and smoothing, 1997,
-//! doi 10.1002/(SICI)1097-0207(19971115)40:21<3979::AID-NME251>3.0.CO;2-9, for guarded smoothing by the worst angle.)
+//! doi `10.1002/(SICI)1097-0207(19971115)40:21<3979::AID-NME251>3.0.CO;2-9`, for guarded smoothing by the worst angle.)
 
 use super::complex::{Complex, NO_REGION, Stars};
 use super::field::{ShareField, Shares};

@@ -15,7 +15,7 @@
 //! Whitaker, Lattice Cleaving: A Multimaterial Tetrahedral Meshing Algorithm with Guarantees, IEEE Transactions on Visualization
 //! and Computer Graphics 20(2), 2014, doi 10.1109/TVCG.2013.115). We differ: cuts begin in the middle, where the angles are best,
 //! and move by optimisation with a guard, instead of being put on the border at once and snapped where that makes angles bad. So
-//! the angle bound here is kept for every input (theirs is 2.76 degrees), and where both cannot be had, the border gives way.
+//! the angle bound here is kept for every input, and where both cannot be had, the border gives way.
 //!
 //! Tetrahedra at borders are about half as long as those within organs.
 

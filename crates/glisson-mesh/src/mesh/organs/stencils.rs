@@ -4,7 +4,7 @@
 //! regions gets a node, a face between three regions gets one, and so does a tetrahedron between four. The part of a region
 //! is then a tetrahedron, a prism or a cube (as complexes), and all are cut into tetrahedra in one way: from the part's
 //! first point to the facets without it, these from their first point likewise ("pulling"; Lee and Santos, Subdivisions and
-//! triangulations of polytopes, Handbook of Discrete and Computational Geometry, 2017, section 16.3). "First" is by one
+//! triangulations of polytopes, Handbook of Discrete and Computational Geometry, 2017, chapter 16). "First" is by one
 //! order of all points of the mesh, so that two tetrahedra cut their common face alike.
 //!
 //! The part of a region in the whole lattice is the derived neighbourhood of the nodes that carry it, and so is that of
@@ -245,7 +245,8 @@ mod tests {
             let volume: f64 = complex.volumes_m3(5).iter().sum();
             assert!((volume - f64::from(n_lattice) / 12.0).abs() < 1e-9);
             let cosines = (0..complex.tets.len()).map(|t| dihedral_cosine_range(complex.corners_m(t)));
-            let [low, high] = cosines.fold([1.0f64, -1.0f64], |[l, h], [low, high]| [l.min(low), h.max(high)]);
+            let [low, high] =
+                cosines.fold([1.0f64, -1.0f64], |[l, h], [low, high]| [l.min(low), h.max(high)]);
             let [smallest_deg, largest_deg] = [high, low].map(|cosine| cosine.acos().to_degrees());
             assert!(smallest_deg > 18.0, "{smallest_deg}");
             assert!(largest_deg < 150.0, "{largest_deg}");

@@ -8,6 +8,7 @@ pub mod quality;
 pub mod repair;
 pub mod refine;
 pub mod stuffing;
+pub mod organs;
 pub mod thin;
 pub mod generate;
 pub mod remap;

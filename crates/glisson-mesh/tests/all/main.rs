@@ -13,6 +13,7 @@ mod mesh_files;
 mod mesh_quality;
 mod mesh_repair;
 mod meshing;
+mod organs;
 mod sample_edits;
 mod sample_images;
 mod simplex;

@@ -80,7 +80,7 @@ impl Lattice {
     }
 
     /// Node of grid place (i, j, k), odd or even.
-    pub(super) fn node(&self, [i, j, k]: [usize; 3], odd: bool) -> usize {
+    pub(in crate::mesh) fn node(&self, [i, j, k]: [usize; 3], odd: bool) -> usize {
         2 * (i + self.dims[0] * (j + self.dims[1] * k)) + usize::from(odd)
     }
 
@@ -103,9 +103,14 @@ impl Lattice {
 
     /// Whether a node is at least `layers` layers away from the lattice's border. From 1 on all its
     /// neighbours exist.
-    pub(super) fn is_interior(&self, node: usize, layers: usize) -> bool {
+    pub(in crate::mesh) fn is_interior(&self, node: usize, layers: usize) -> bool {
         let place = self.place(node);
         (0..3).all(|axis| place[axis] >= layers && place[axis] + layers < self.dims[axis])
+    }
+
+    /// The 14 neighbours of an interior node.
+    pub(in crate::mesh) fn neighbours(&self, node: usize) -> [usize; N_DIRECTIONS] {
+        self.neighbour_steps()[node & 1].map(|step| stepped(node, step))
     }
 
     /// Neighbours' node numbers minus the node's, for an even and for an odd node. Both hold for interior

@@ -2,9 +2,15 @@
 
 use std::path::Path;
 
+use anyhow::Context;
+use glisson::image::LabelMap;
 use glisson::image::files::{ImageError, SeriesChoice, StoredImage, format_of_file, read_image, read_series};
+use glisson::image::labels::{LabelError, LabelSelection, Parts};
 use glisson::surface::files::FileKind;
 use glisson::units::{LengthUnit, likely_unit};
+
+/// Organ that is taken when no label is named.
+const DEFAULT_LABEL: &str = "liver";
 
 /// Whether a path is an image to `glisson mesh`, and no surface.
 pub(crate) fn is_image(path: &Path) -> bool {
@@ -26,6 +32,49 @@ pub(crate) fn read(path: &Path, series: Option<usize>) -> Result<StoredImage, Im
         Some(number) => read_series(path, &SeriesChoice::Number(number)),
         None => read_image(path),
     }
+}
+
+/// Which organ of a label map.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct LabelChoice {
+    /// Which DICOM series of a folder, by its place in the list of `glisson import --list`
+    #[arg(long, value_name = "N")]
+    pub(crate) series: Option<usize>,
+    /// Which label of a label map, by name or number; several as one organ: `liver+tumour` [default: liver, or the only
+    /// label]
+    #[arg(long, value_name = "NAME_OR_NUMBER")]
+    pub(crate) label: Option<String>,
+    /// Take the organ's own label alone, without its vessels and tumours
+    #[arg(long)]
+    pub(crate) without_parts: bool,
+}
+
+impl LabelChoice {
+    /// Whether anything is said.
+    pub(crate) fn is_given(&self) -> bool {
+        self.series.is_some() || self.label.is_some() || self.without_parts
+    }
+
+    /// The labels meant: those asked for; without any the liver, or the only label there is.
+    pub(crate) fn select(&self, map: &LabelMap) -> Result<LabelSelection, LabelError> {
+        let label = match &self.label {
+            Some(label) => label.clone(),
+            None if map.names.iter().any(|(_, name)| name == DEFAULT_LABEL) => DEFAULT_LABEL.into(),
+            None => match map.present()[..] {
+                [only] => only.to_string(),
+                _ => DEFAULT_LABEL.into(),
+            },
+        };
+        map.select(&label, if self.without_parts { Parts::Excluded } else { Parts::Included })
+    }
+}
+
+/// The label map in a file or folder and the voxels of the organ meant.
+pub(crate) fn label_mask(path: &Path, choice: &LabelChoice) -> anyhow::Result<(LabelMap, Vec<bool>)> {
+    let map = read_with_notes(path, choice.series)?.label_map()?;
+    let selection = choice.select(&map).with_context(|| path.display().to_string())?;
+    let mask = map.mask(&selection);
+    Ok((map, mask))
 }
 
 /// Says so where an organ read in `unit` has a volume that no organ has.

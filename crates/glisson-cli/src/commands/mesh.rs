@@ -4,8 +4,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
-use glisson::image::LabelMap;
-use glisson::image::labels::{Parts, mask_volume_m3, sides_at_border};
+use glisson::image::labels::{mask_volume_m3, sides_at_border};
 use glisson::mesh::files::{MeshFormat, extensions_of, write_mesh};
 use glisson::mesh::generate::{MAX_TETRAHEDRA, MIN_TETRAHEDRA, MeshParams, MeshPlan, MeshReport, WantedSize};
 use glisson::mesh::thin::ThinKind;
@@ -16,15 +15,12 @@ use glisson::surface::files::{
 };
 use glisson::units::LengthUnit;
 
-use super::image_input::{is_image, read_with_notes, warn_of_unit};
+use super::image_input::{LabelChoice, is_image, read_with_notes, warn_of_unit};
 use super::output::{check_extension, make_folder_of};
 use super::repair::{How, print_report as print_repair, repaired};
 
 /// Number of tetrahedra when neither a number nor a size is given.
 const DEFAULT_TETRAHEDRA: usize = 6_300;
-
-/// Organ that is meshed when no label is named.
-const DEFAULT_LABEL: &str = "liver";
 
 /// Turn a label map or a closed surface into a tetrahedral mesh.
 ///
@@ -41,16 +37,8 @@ pub(crate) struct Args {
     /// Label map (.nii, .nii.gz, .nrrd, .seg.nrrd, .mha, .mhd, .inr, .dcm or a folder of masks) or closed surface (.stl,
     /// .obj, .ply, .vtk)
     input: PathBuf,
-    /// Which DICOM series of a folder, by its place in the list of `glisson import --list`
-    #[arg(long, value_name = "N")]
-    series: Option<usize>,
-    /// Which label of a label map, by name or number; several as one organ: `liver+tumour` [default: liver, or the only
-    /// label]
-    #[arg(long, value_name = "NAME_OR_NUMBER")]
-    label: Option<String>,
-    /// Take the organ's own label alone, without its vessels and tumours
-    #[arg(long)]
-    without_parts: bool,
+    #[command(flatten)]
+    label: LabelChoice,
     /// Number of tetrahedra, met within 5 % [default: 6300]
     #[arg(long, value_name = "N", conflicts_with = "element_size_mm")]
     tetrahedra: Option<usize>,
@@ -193,7 +181,7 @@ fn of_label(args: &Args, stages: &Stages) -> anyhow::Result<Source> {
     let in_input = || args.input.display().to_string();
     let map = stages.timed(
         "label map",
-        || read_with_notes(&args.input, args.series).and_then(|image| image.label_map()),
+        || read_with_notes(&args.input, args.label.series).and_then(|image| image.label_map()),
         |map| {
             let ([x, y, z], spacing_mm) = (map.grid.dims, 1e3 * map.grid.spacing_m);
             format!(
@@ -202,9 +190,7 @@ fn of_label(args: &Args, stages: &Stages) -> anyhow::Result<Source> {
             )
         },
     )?;
-    let label = wanted_label(args, &map);
-    let parts = if args.without_parts { Parts::Excluded } else { Parts::Included };
-    let selection = map.select(&label, parts).with_context(in_input)?;
+    let selection = args.label.select(&map).with_context(in_input)?;
     let mask = map.mask(&selection);
     let volume_m3 = mask_volume_m3(&map.grid, &mask);
     let names: Vec<String> =
@@ -240,22 +226,10 @@ fn of_label(args: &Args, stages: &Stages) -> anyhow::Result<Source> {
     Ok(Source { surface, volume_m3, volume_of: "label" })
 }
 
-/// The label asked for; without one the liver, or the only label there is.
-fn wanted_label(args: &Args, map: &LabelMap) -> String {
-    match &args.label {
-        Some(label) => label.clone(),
-        None if map.names.iter().any(|(_, name)| name == DEFAULT_LABEL) => DEFAULT_LABEL.into(),
-        None => match map.present()[..] {
-            [only] => only.to_string(),
-            _ => DEFAULT_LABEL.into(),
-        },
-    }
-}
-
 fn of_surface(args: &Args, stages: &Stages) -> anyhow::Result<Source> {
-    if args.label.is_some() || args.without_parts || args.surface_triangles.is_some() || args.cut_at_border {
+    if args.label.is_given() || args.surface_triangles.is_some() || args.cut_at_border {
         bail!(
-            "{} is no label map: --label, --without-parts, --cut-at-border and --surface-triangles are for label maps",
+            "{} is no label map: --series, --label, --without-parts, --cut-at-border and --surface-triangles are for label maps",
             args.input.display()
         );
     }

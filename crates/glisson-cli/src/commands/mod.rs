@@ -6,6 +6,8 @@ mod phantom;
 mod import;
 mod segment;
 mod mesh;
+mod mesh_organs;
+mod fit_simplex;
 mod repair;
 mod check;
 mod precompute;
@@ -35,6 +37,8 @@ enum Command {
     Import(import::Args),
     Segment(segment::Args),
     Mesh(mesh::Args),
+    MeshOrgans(mesh_organs::Args),
+    FitSimplex(fit_simplex::Args),
     Repair(repair::Args),
     Check(check::Args),
     Precompute(precompute::Args),
@@ -57,6 +61,8 @@ pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
         Command::Import(args) => import::run(args),
         Command::Segment(args) => segment::run(args),
         Command::Mesh(args) => mesh::run(args),
+        Command::MeshOrgans(args) => mesh_organs::run(args),
+        Command::FitSimplex(args) => fit_simplex::run(args),
         Command::Repair(args) => repair::run(args),
         Command::Check(args) => check::run(args),
         Command::Precompute(args) => precompute::run(args),

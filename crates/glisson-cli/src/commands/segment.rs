@@ -4,8 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use glisson::image::files::write_label_map;
-use glisson::image::labels::{Parts, check_clear_of_border, dice, mask_volume_m3};
-use glisson::image::segment::{SegmentParams, Segmentation, bare_band, segment};
+use glisson::image::labels::{Parts, check_clear_of_border, dice, hausdorff_95_m, mask_volume_m3};
+use glisson::image::segment::{
+    SeededParams, Seeds, SegmentError, SegmentParams, Segmentation, bare_band, segment, segment_with_seeds,
+};
 use glisson::image::{LabelMap, Volume, VoxelGrid};
 use glisson::math::DVec3;
 use serde_json::json;
@@ -13,17 +15,18 @@ use serde_json::json;
 use super::image_input::read_with_notes;
 use super::output::make_folder_of;
 
-/// Find the liver in a CT volume.
+/// Find the liver, or the organ at a point, in a CT volume.
 ///
-/// Denoises, takes the intensity band around a seed, the connected region there, cuts thin bridges to other
-/// organs, closes vessels and lesions, fills holes and tunnels, and keeps the largest piece.
-/// Without a seed it starts deep in the thickest parenchyma on the patient's right.
+/// Takes the intensity band around a seed and the connected region there, cuts thin bridges to other organs, fills
+/// vessels and lesions, and ends with a geodesic active contour: the surface of least area that is drawn to edges.
+/// Without a seed it starts deep in the thickest parenchyma on the patient's right. Where something is missing, add a
+/// seed in it; where something is too much, add one with `--outside-mm`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   glisson segment out/phantom/ct.nii.gz -o out/liver.nii.gz
   glisson segment out/phantom/ct.nii.gz -o out/liver.nii.gz --truth out/phantom/labels.nii.gz
-  glisson segment ct.nii.gz --seed-mm=-80,-10,20 -o out/liver.nii.gz
-  glisson segment ct.nii.gz --seed-voxel 60,70,80 -o out/liver.nii.gz")]
+  glisson segment ct.nii.gz --seed-mm=-80,-10,20 --seed-mm=30,-60,10 --outside-mm=60,0,15 -o out/liver.nii.gz
+  glisson segment ct.nii.gz --seed-voxel 60,70,80 --method region -o out/liver.nii.gz")]
 pub(crate) struct Args {
     /// CT volume in Hounsfield units (a DICOM folder, .nii, .nii.gz, .nrrd, .mha, .mhd or .inr)
     ct: PathBuf,
@@ -33,12 +36,22 @@ pub(crate) struct Args {
     /// Label map to write (.nii, .nii.gz, .nrrd, .seg.nrrd or .mha): 1 is the organ
     #[arg(short, long, default_value = "out/labels.nii.gz")]
     output: PathBuf,
-    /// A point inside the organ: x,y,z in mm in the patient frame (LPS: +x left, +y posterior, +z superior)
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, conflicts_with = "seed_voxel")]
-    seed_mm: Option<String>,
-    /// A voxel inside the organ: i,j,k from 0
-    #[arg(long, value_name = "I,J,K")]
-    seed_voxel: Option<String>,
+    /// How the organ is found
+    #[arg(long, value_enum, default_value_t)]
+    method: Method,
+    /// A point inside the organ: x,y,z in mm in the patient frame (LPS: +x left, +y posterior, +z superior); may be
+    /// given again, the first in the main part
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    seed_mm: Vec<String>,
+    /// A voxel inside the organ: i,j,k from 0; may be given again
+    #[arg(long, value_name = "I,J,K", conflicts_with = "seed_mm")]
+    seed_voxel: Vec<String>,
+    /// A point in tissue that must not be taken; may be given again
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    outside_mm: Vec<String>,
+    /// A voxel in tissue that must not be taken; may be given again
+    #[arg(long, value_name = "I,J,K", conflicts_with = "outside_mm")]
+    outside_voxel: Vec<String>,
     /// Name of the organ in the label map written
     #[arg(long, default_value = "liver")]
     name: String,
@@ -56,13 +69,30 @@ pub(crate) struct Args {
     json: bool,
 }
 
+/// Ways to find an organ.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+enum Method {
+    /// Seeds inside and outside, ending with a geodesic active contour
+    #[default]
+    Geodesic,
+    /// The region around one seed, smoothed by opening and closing
+    Region,
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let ct = read_with_notes(&args.ct, args.series)?.volume();
     let truth = args.truth.as_deref().map(|path| read_truth(args, path, &ct)).transpose()?;
-    let params = SegmentParams { seed_m: seed_m(args, &ct.grid)?, ..SegmentParams::default() };
+    let seeds = Seeds {
+        inside_m: points_m(&ct.grid, ["--seed-mm", "--seed-voxel"], [&args.seed_mm, &args.seed_voxel])?,
+        outside_m: points_m(
+            &ct.grid,
+            ["--outside-mm", "--outside-voxel"],
+            [&args.outside_mm, &args.outside_voxel],
+        )?,
+    };
     let progress = indicatif::ProgressBar::new_spinner().with_message("segmenting");
     progress.enable_steady_tick(std::time::Duration::from_millis(200));
-    let found = segment(&ct, &params).with_context(|| args.ct.display().to_string())?;
+    let found = found(args.method, &ct, &seeds)?.with_context(|| args.ct.display().to_string())?;
     progress.finish_and_clear();
 
     let labels = found.mask.iter().map(|&inside| u16::from(inside)).collect();
@@ -72,6 +102,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     write_label_map(&args.output, &map)?;
     let overlap = truth.map(|truth| Overlap {
         dice: dice(&found.mask, &truth),
+        hausdorff_95_m: hausdorff_95_m(&ct.grid, &found.mask, &truth),
         bare_band_dice: dice(&bare_band(&ct, found.band_hu), &truth),
     });
     if args.json {
@@ -82,6 +113,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                 "band_hu": found.band_hu,
                 "volume_m3": mask_volume_m3(&ct.grid, &found.mask),
                 "dice": overlap.as_ref().map(|o| o.dice),
+                "hausdorff_95_m": overlap.as_ref().and_then(|o| o.hausdorff_95_m),
                 "bare_band_dice": overlap.as_ref().map(|o| o.bare_band_dice),
             })
         );
@@ -94,13 +126,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 /// Agreement with a true label map.
 struct Overlap {
     dice: f64,
+    /// 95 % of the border voxels of either are at most so far from those of the other [m].
+    hausdorff_95_m: Option<f64>,
     /// Of the plain method to compare with.
     bare_band_dice: f64,
 }
 
 fn report(args: &Args, ct: &Volume<f32>, found: &Segmentation, overlap: Option<&Overlap>) {
     let seed_mm = found.seed_m * 1e3;
-    let origin = if args.seed_mm.is_some() || args.seed_voxel.is_some() { "given" } else { "automatic" };
+    let origin = if args.seed_mm.is_empty() && args.seed_voxel.is_empty() { "automatic" } else { "given" };
     println!("labels {}", args.output.display());
     println!("seed   {:.1}, {:.1}, {:.1} mm LPS ({origin})", seed_mm.x, seed_mm.y, seed_mm.z);
     println!(
@@ -121,6 +155,9 @@ fn report(args: &Args, ct: &Volume<f32>, found: &Segmentation, overlap: Option<&
     }
     if let Some(overlap) = overlap {
         println!("Dice   {:.4}", overlap.dice);
+        if let Some(far_m) = overlap.hausdorff_95_m {
+            println!("border {:.2} mm from the true one at most (95 % of both)", 1e3 * far_m);
+        }
         println!("Dice   {:.4} of the bare band + largest piece", overlap.bare_band_dice);
     }
 }
@@ -148,19 +185,40 @@ fn read_truth(args: &Args, path: &Path, ct: &Volume<f32>) -> anyhow::Result<Vec<
     Ok(map.mask(&organ))
 }
 
-fn seed_m(args: &Args, grid: &VoxelGrid) -> anyhow::Result<Option<DVec3>> {
-    if let Some(text) = &args.seed_mm {
-        return Ok(Some(three_numbers("--seed-mm", text)? * 1e-3));
+/// What a method finds; the region takes one seed.
+fn found(
+    method: Method,
+    ct: &Volume<f32>,
+    seeds: &Seeds,
+) -> anyhow::Result<Result<Segmentation, SegmentError>> {
+    if method == Method::Geodesic {
+        return Ok(segment_with_seeds(ct, seeds, &SeededParams::default()));
     }
-    let Some(text) = &args.seed_voxel else { return Ok(None) };
-    let voxel = three_numbers("--seed-voxel", text)?;
-    for axis in 0..3 {
-        let last = grid.dims[axis] - 1;
-        if !(0.0..=last as f64).contains(&voxel[axis]) {
-            bail!("--seed-voxel {text}: {} is outside 0 to {last} of axis {axis}", voxel[axis]);
+    ensure!(
+        seeds.inside_m.len() <= 1 && seeds.outside_m.is_empty(),
+        "--method region takes one seed: leave the method out to use several, and seeds outside the organ"
+    );
+    let seed_m = seeds.inside_m.first().copied();
+    Ok(segment(ct, &SegmentParams { seed_m, ..SegmentParams::default() }))
+}
+
+/// Points given in millimetres or as voxels, by the options of these names.
+fn points_m(grid: &VoxelGrid, names: [&str; 2], given: [&[String]; 2]) -> anyhow::Result<Vec<DVec3>> {
+    let mut points_m = Vec::new();
+    for text in given[0] {
+        points_m.push(three_numbers(names[0], text)? * 1e-3);
+    }
+    for text in given[1] {
+        let voxel = three_numbers(names[1], text)?;
+        for axis in 0..3 {
+            let last = grid.dims[axis] - 1;
+            if !(0.0..=last as f64).contains(&voxel[axis]) {
+                bail!("{} {text}: {} is outside 0 to {last} of axis {axis}", names[1], voxel[axis]);
+            }
         }
+        points_m.push(grid.position_m(voxel));
     }
-    Ok(Some(grid.position_m(voxel)))
+    Ok(points_m)
 }
 
 fn three_numbers(option: &str, text: &str) -> anyhow::Result<DVec3> {

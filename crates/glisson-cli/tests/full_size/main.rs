@@ -3,6 +3,7 @@
 mod bed;
 mod haptics;
 mod link;
+mod organs;
 mod served;
 mod soak;
 mod soak_edits;

@@ -6,6 +6,8 @@
 
 use std::collections::BTreeSet;
 
+use super::filter;
+use super::resample::VoxelBox;
 use super::{LabelMap, VoxelGrid};
 use crate::math::DVec3;
 use crate::text::closest_name;
@@ -183,6 +185,42 @@ pub fn dice(a: &[bool], b: &[bool]) -> f64 {
     let n_both = a.iter().zip(b).filter(|&(&x, &y)| x && y).count();
     let n_sum = a.iter().filter(|&&x| x).count() + b.iter().filter(|&&y| y).count();
     if n_sum == 0 { 1.0 } else { 2.0 * n_both as f64 / n_sum as f64 }
+}
+
+/// The 95 % Hausdorff distance [m] of two masks: 95 % of the border voxels of both are at most so far from the nearest border
+/// voxel of the other mask. `None` when a mask is empty.
+///
+/// # Panics
+/// Masks of different length.
+pub fn hausdorff_95_m(grid: &VoxelGrid, a: &[bool], b: &[bool]) -> Option<f64> {
+    assert_eq!(a.len(), b.len(), "masks of the same grid");
+    let either: Vec<bool> = a.iter().zip(b).map(|(&x, &y)| x || y).collect();
+    let part = VoxelBox::around(grid, &either, 0.0)?;
+    let near = part.grid(grid);
+    let borders = [a, b].map(|mask| border_of(&near, &part.cut(grid, mask)));
+    let [to_a, to_b] = [0, 1].map(|m| filter::distance_squared_m2(&near, &borders[m]));
+    let of = |border: &[bool], distance2: &[f32]| -> Vec<f32> {
+        border.iter().zip(distance2).filter(|(is_border, _)| **is_border).map(|(_, &d)| d).collect()
+    };
+    let (mut all, of_b) = (of(&borders[0], &to_b), of(&borders[1], &to_a));
+    if all.is_empty() || of_b.is_empty() {
+        return None;
+    }
+    all.extend(of_b);
+    let place = (0.95 * (all.len() - 1) as f64).round() as usize;
+    Some(f64::from(*all.select_nth_unstable_by(place, f32::total_cmp).1).sqrt())
+}
+
+/// Voxels of a mask with a face towards a voxel outside it, or towards the outside of the grid.
+fn border_of(grid: &VoxelGrid, mask: &[bool]) -> Vec<bool> {
+    let step = [1, grid.dims[0], grid.dims[0] * grid.dims[1]];
+    let is_border = |index: usize| {
+        let voxel = grid.voxel(index);
+        (0..3).any(|a| {
+            voxel[a] == 0 || voxel[a] + 1 == grid.dims[a] || !mask[index - step[a]] || !mask[index + step[a]]
+        })
+    };
+    (0..mask.len()).map(|index| mask[index] && is_border(index)).collect()
 }
 
 /// Voxels of a mask on each side of its volume: side 2 a is the low end of axis a, side 2 a + 1 the high end.

@@ -4,6 +4,7 @@ pub mod files;
 pub mod labels;
 pub mod filter;
 pub mod phantom;
+pub mod resample;
 pub mod segment;
 pub mod topology;
 pub mod vessels;
@@ -49,6 +50,11 @@ impl VoxelGrid {
     /// Centre of a voxel, or of a fractional place between voxels [m], LPS.
     pub fn position_m(&self, voxel: DVec3) -> DVec3 {
         self.origin_m + self.axes * (voxel * self.spacing_m)
+    }
+
+    /// Centre of the voxel at a place in the data [m], LPS.
+    pub fn center_m(&self, index: usize) -> DVec3 {
+        self.position_m(DVec3::from_array(self.voxel(index).map(|v| v as f64)))
     }
 
     /// Fractional voxel coordinates of a point: the inverse of [`VoxelGrid::position_m`].

@@ -16,6 +16,7 @@ mod meshing;
 mod organs;
 mod sample_edits;
 mod sample_images;
+mod segmentation;
 mod simplex;
 mod simplex_fit;
 mod surface_files;

@@ -36,7 +36,7 @@ pub struct AdaptParams {
 }
 
 /// What adaptation did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct AdaptReport {
     /// Cells cut in two.
     pub n_split: usize,

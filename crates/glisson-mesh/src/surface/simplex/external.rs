@@ -162,7 +162,7 @@ impl GradientBorder<'_> {
     pub fn offset_m(&self, point_m: DVec3, normal: DVec3) -> Option<f64> {
         let step_m = 0.5 * self.image.grid.spacing_m.min_element();
         let n_steps = (self.reach_m / step_m).ceil() as i64;
-        let value = |i: i64| trilinear(self.image, point_m + (i as f64 * step_m) * normal);
+        let value = |i: i64| self.image.value_at(point_m + (i as f64 * step_m) * normal);
         // Over two voxels: within one the values are linear and the slope has no peak.
         let slope = |i: i64| {
             let rise = (value(i + 2) - value(i - 2)) / (4.0 * step_m);
@@ -192,38 +192,11 @@ impl GradientBorder<'_> {
     }
 }
 
-/// Value of a volume at a point, linear between voxel centres; that of the border outside.
-pub fn trilinear(volume: &Volume<f32>, point_m: DVec3) -> f64 {
-    let grid = &volume.grid;
-    let at = grid.voxel_at(point_m);
-    let mut low = [0usize; 3];
-    let mut high = [0usize; 3];
-    let mut share = [0.0; 3];
-    for axis in 0..3 {
-        let last = grid.dims[axis].saturating_sub(1);
-        let x = at[axis].clamp(0.0, last as f64);
-        low[axis] = (x as usize).min(last);
-        high[axis] = (low[axis] + 1).min(last);
-        share[axis] = x - low[axis] as f64;
-    }
-    let value = |i: usize, j: usize, k: usize| f64::from(volume.values[grid.index([i, j, k])]);
-    let line = |j: usize, k: usize| {
-        let from = value(low[0], j, k);
-        from + share[0] * (value(high[0], j, k) - from)
-    };
-    let plane = |k: usize| {
-        let from = line(low[1], k);
-        from + share[1] * (line(high[1], k) - from)
-    };
-    let from = plane(low[2]);
-    from + share[2] * (plane(high[2]) - from)
-}
-
 /// Signed length [m] along `normal` to the nearest place where the volume falls through 1/2 in its direction.
 fn falling_crossing_m(volume: &Volume<f32>, point_m: DVec3, normal: DVec3, reach_m: f64) -> Option<f64> {
     let step_m = SEARCH_STEP_SPACINGS * volume.grid.spacing_m.min_element();
     let n_steps = (reach_m / step_m).ceil() as usize;
-    let excess = |t_m: f64| trilinear(volume, point_m + t_m * normal) - 0.5;
+    let excess = |t_m: f64| volume.value_at(point_m + t_m * normal) - 0.5;
     let crossing = |from_m: f64, from: f64, to_m: f64, to: f64| {
         (from >= 0.0 && to < 0.0).then(|| refine(&excess, [from_m, to_m], [from, to]))
     };

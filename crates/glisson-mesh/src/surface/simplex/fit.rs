@@ -97,7 +97,7 @@ pub struct SimplexFitProgress {
 }
 
 /// What came out, in figures.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SimplexFitReport {
     /// Triangles of the surface with the voxels' stairs.
     pub n_triangles_extracted: usize,

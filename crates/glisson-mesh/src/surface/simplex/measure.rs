@@ -8,7 +8,7 @@ use crate::surface::normals::{NormalWeight, vertex_normals};
 use rayon::prelude::*;
 
 /// Distances [m] from one surface to another, weighted by area.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct DistanceSummary {
     /// Mean.
     pub mean_m: f64,

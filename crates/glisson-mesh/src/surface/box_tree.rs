@@ -45,12 +45,14 @@ impl BoxTree {
         let triangles = (0..mesh.triangles.len()).into_par_iter().with_min_len(PARALLEL_ABOVE);
         let boxes: Vec<Aabb> = triangles.map(|t| Aabb::of_points(&mesh.corners_m(t))).collect();
         let n = u32::try_from(boxes.len()).expect("meshes have fewer than 2^32 triangles");
-        let mut order: Vec<u32> = (0..n).collect();
+        // Sorted with their centres: looking those up costs more than the comparisons.
+        let centre = |t: u32| boxes[t as usize].min_m + boxes[t as usize].max_m;
+        let mut order: Vec<(DVec3, u32)> = (0..n).map(|t| (centre(t), t)).collect();
         let mut nodes = Vec::new();
         if n > 0 {
             split(&boxes, &mut order, 0, &mut nodes);
         }
-        Self { nodes, order, boxes }
+        Self { nodes, order: order.into_iter().map(|(_, t)| t).collect(), boxes }
     }
 
     /// Makes the boxes fit again after the triangles `moved` have moved; their order stays.
@@ -135,26 +137,21 @@ fn squared_distance(bounds: &Aabb, point_m: DVec3) -> f64 {
     point_m.clamp(bounds.min_m, bounds.max_m).distance_squared(point_m)
 }
 
-/// Adds the nodes above `order`, the part of the tree's order that begins at `first`, their root before them;
-/// answers where it is. Each range is split by itself: the tree is the same at any number of threads.
-fn split(boxes: &[Aabb], order: &mut [u32], first: usize, nodes: &mut Vec<BoxNode>) -> u32 {
-    let mut bounds = Aabb::EMPTY;
-    let mut centres = Aabb::EMPTY;
-    for &t in &*order {
-        let b = &boxes[t as usize];
-        bounds = bounds.including(b.min_m).including(b.max_m);
-        centres = centres.including(b.center_m());
-    }
+/// Adds the nodes above `order`, the part of the tree's order that begins at `first`, each triangle with twice
+/// its box's centre [m], their root before them; answers where it is. Each range is split by itself: the tree is
+/// the same at any number of threads.
+fn split(boxes: &[Aabb], order: &mut [(DVec3, u32)], first: usize, nodes: &mut Vec<BoxNode>) -> u32 {
     let id = nodes.len();
-    nodes.push(BoxNode { bounds, first: first as u32, end: (first + order.len()) as u32, children: None });
-    if order.len() > LEAF_SIZE {
-        let size = centres.size_m();
+    let end = first + order.len();
+    let around = |a: Aabb, b: &Aabb| a.including(b.min_m).including(b.max_m);
+    nodes.push(BoxNode { bounds: Aabb::EMPTY, first: first as u32, end: end as u32, children: None });
+    if order.len() <= LEAF_SIZE {
+        nodes[id].bounds = order.iter().fold(Aabb::EMPTY, |sum, &(_, t)| around(sum, &boxes[t as usize]));
+    } else {
+        let size = order.iter().fold(Aabb::EMPTY, |sum, &(centre, _)| sum.including(centre)).size_m();
         let axis = (0..3).max_by(|&a, &b| size[a].total_cmp(&size[b])).expect("three axes");
         let middle = order.len() / 2;
-        order.select_nth_unstable_by(middle, |&s, &t| {
-            let centre = |t: u32| boxes[t as usize].min_m[axis] + boxes[t as usize].max_m[axis];
-            centre(s).total_cmp(&centre(t)).then(s.cmp(&t))
-        });
+        order.select_nth_unstable_by(middle, |(p, s), (q, t)| p[axis].total_cmp(&q[axis]).then(s.cmp(t)));
         let parallel = order.len() > PARALLEL_ABOVE;
         let (left, right) = order.split_at_mut(middle);
         let children = if parallel {
@@ -168,6 +165,8 @@ fn split(boxes: &[Aabb], order: &mut [u32], first: usize, nodes: &mut Vec<BoxNod
             let left = split(boxes, left, first, nodes);
             [left, split(boxes, right, first + middle, nodes)]
         };
+        let [l, r] = children.map(|child| nodes[child as usize].bounds);
+        nodes[id].bounds = around(l, &r);
         nodes[id].children = Some(children);
     }
     id as u32

@@ -10,7 +10,7 @@
 //! every block of 2 x 2 x 2 voxels is cut by one disc, and a dual surface is a manifold.
 //!
 //! Both properties survive if only simple voxels are flipped whose eight blocks stay well-composed. So:
-//! * from outside, the filled bounding box is shrunk towards the set, the voxels farthest from it first; what
+//! * from outside, a simple ball around the set is shrunk towards it, the voxels farthest from it first; what
 //!   cannot be taken away closes each tunnel by a membrane at its narrowest place, which is then thickened
 //!   where the tunnel is narrow;
 //! * from inside, the deepest voxel is grown towards the border of the set, the deepest voxels first; what
@@ -19,10 +19,12 @@
 //! The first is preferred; where a membrane is large it is opened again and the second cuts the handle.
 //! The order of ties is that of insertion, so the result depends on the input alone.
 
+mod enclosure;
 mod propagation;
 
+use self::enclosure::enclosing_ball;
 pub(crate) use self::propagation::well_composed_blocks;
-use self::propagation::{Crop, Direction, chamfer_distances, components, propagate};
+use self::propagation::{Crop, Direction, Pieces, chamfer_distances, propagate};
 use super::VoxelGrid;
 
 /// What [`repair_to_ball`] did.
@@ -139,7 +141,7 @@ pub fn repair_to_ball(grid: &VoxelGrid, mask: &mut [bool]) -> Result<TopologyRep
     let n_tunnels = tunnels(&crop);
     if n_tunnels > 0 || !crop.is_well_composed() {
         let given = crop.clone();
-        let filled = shrunk_box(&given);
+        let filled = shrunk_enclosure(&given);
         let mut best = Candidate { cost: cost(&given, &filled), n_left: 0, result: filled.clone() };
         if best.cost as f64 > CHEAP_SHARE * given.count() as f64 {
             for limit in MEMBRANE_LIMITS {
@@ -184,9 +186,9 @@ fn cost(given: &Crop, result: &Crop) -> usize {
         .sum()
 }
 
-/// The smallest ball around `given` that shrinking its filled box reaches.
-fn shrunk_box(given: &Crop) -> Crop {
-    let mut ball = given.filled_box();
+/// The smallest ball around `given` that shrinking a simple one reaches.
+fn shrunk_enclosure(given: &Crop) -> Crop {
+    let mut ball = enclosing_ball(given);
     let outside_distance = chamfer_distances(given, |cell| cell == 1);
     let removable: Vec<u8> = given.cells.iter().map(|&c| 1 - c).collect();
     propagate(&mut ball, &removable, &outside_distance, Direction::Shrink);
@@ -206,16 +208,14 @@ fn grown_from_deepest(given: &Crop) -> Crop {
 /// `given` with those connected additions of `filled` that have at most `limit` voxels; none when that is
 /// all of them.
 fn without_large_additions(given: &Crop, filled: &Crop, limit: usize) -> Option<Crop> {
-    let added = additions(given, filled);
-    let (labels, sizes) = components(&added, 1, true);
-    if sizes.iter().all(|&size| size <= limit) {
+    let added = Pieces::of(&additions(given, filled), 1, true);
+    let is_small = |piece: u32| added.sizes[piece as usize] <= limit;
+    if added.sizes.iter().all(|&size| size <= limit) {
         return None;
     }
     let mut result = given.clone();
-    for (cell, &label) in result.cells.iter_mut().zip(&labels) {
-        if label > 0 && sizes[label as usize - 1] <= limit {
-            *cell = 1;
-        }
+    for run in added.runs.iter().filter(|run| is_small(run.piece)) {
+        result.cells[run.places()].fill(1);
     }
     Some(result)
 }
@@ -223,25 +223,59 @@ fn without_large_additions(given: &Crop, filled: &Crop, limit: usize) -> Option<
 /// Thickens the membranes that `ball` added to `given`, where the tunnel is narrow. Additions that join mere
 /// edge or corner contacts stay as they are.
 fn plug_tunnels(given: &Crop, ball: &mut Crop) {
-    let added = additions(given, ball);
-    let (labels, sizes) = components(&added, 1, true);
+    let added = Pieces::of(&additions(given, ball), 1, true);
     // Taking a membrane out again opens its tunnels: the Euler characteristic falls.
     let mut opened = ball.clone();
-    let mut change_of_piece = vec![0i64; sizes.len()];
-    for (index, &label) in labels.iter().enumerate() {
-        if label > 0 {
-            change_of_piece[label as usize - 1] += opened.clear_and_count_euler(index);
+    let mut change_of_piece = vec![0i64; added.sizes.len()];
+    for run in &added.runs {
+        for index in run.places() {
+            change_of_piece[run.piece as usize] += opened.clear_and_count_euler(index);
         }
     }
-    let mut membrane = added;
-    for (cell, &label) in membrane.cells.iter_mut().zip(&labels) {
-        *cell = u8::from(label > 0 && change_of_piece[label as usize - 1] < 0);
+    let mut membranes: Vec<Vec<usize>> = vec![Vec::new(); added.sizes.len()];
+    for run in added.runs.iter().filter(|run| change_of_piece[run.piece as usize] < 0) {
+        membranes[run.piece as usize].extend(run.places());
     }
-    if membrane.count() == 0 {
-        return;
+    membranes.retain(|places| !places.is_empty());
+    // What a plug depends on is no farther than its own length and the closing's two radii.
+    let reach = given.chamfer_units(PLUG_LENGTH_MM) + 2 * given.chamfer_units(PLUG_RADIUS_MM);
+    for (bounds, places) in joined_boxes(given, membranes, reach) {
+        let mut membrane = given.emptied();
+        for place in places {
+            membrane.cells[place] = 1;
+        }
+        let mut part = ball.part(bounds);
+        plug(&given.part(bounds), &membrane.part(bounds), &mut part);
+        ball.set_part(bounds[0], &part);
     }
+}
+
+/// First and last voxel of boxes with the places in them, the boxes of `membranes` grown by `reach` chamfer
+/// units; those that overlap are one.
+fn joined_boxes(crop: &Crop, membranes: Vec<Vec<usize>>, reach: u32) -> Vec<([[usize; 3]; 2], Vec<usize>)> {
+    let mut apart: Vec<([[usize; 3]; 2], Vec<usize>)> = Vec::new();
+    for places in membranes {
+        let mut grown = (crop.box_around(places.iter().copied(), reach), places);
+        let overlap = |a: [[usize; 3]; 2], b: [[usize; 3]; 2]| {
+            (0..3).all(|axis| a[0][axis] <= b[1][axis] && b[0][axis] <= a[1][axis])
+        };
+        while let Some(at) = apart.iter().position(|(bounds, _)| overlap(*bounds, grown.0)) {
+            let (bounds, places) = apart.swap_remove(at);
+            for axis in 0..3 {
+                grown.0[0][axis] = grown.0[0][axis].min(bounds[0][axis]);
+                grown.0[1][axis] = grown.0[1][axis].max(bounds[1][axis]);
+            }
+            grown.1.extend(places);
+        }
+        apart.push(grown);
+    }
+    apart
+}
+
+/// Thickens `membrane` in `ball` where `given` is narrow around it.
+fn plug(given: &Crop, membrane: &Crop, ball: &mut Crop) {
     let closed = given.closing(PLUG_RADIUS_MM);
-    let from_membrane = chamfer_distances(&membrane, |cell| cell == 1);
+    let from_membrane = chamfer_distances(membrane, |cell| cell == 1);
     let reach = membrane.chamfer_units(PLUG_LENGTH_MM);
     let candidates: Vec<u8> = (0..closed.cells.len())
         .map(|i| u8::from(closed.cells[i] == 1 && given.cells[i] == 0 && from_membrane[i] <= reach))

@@ -1,10 +1,14 @@
 //! A tree of boxes over the triangles of a mesh, halved at the median of the longest side.
 
+use rayon::prelude::*;
+
 use super::TriMesh;
 use crate::math::{Aabb, DVec3, closest_point_barycentric};
 
 /// Triangles of one leaf of the tree.
 const LEAF_SIZE: usize = 6;
+/// Halves of more triangles than this are split by two threads.
+const PARALLEL_ABOVE: usize = 4096;
 
 /// Nodes that wait while the tree is walked depth first: one a level and one more. Halving 2^32 triangles
 /// takes 32 levels.
@@ -38,40 +42,55 @@ pub(super) struct BoxTree {
 impl BoxTree {
     /// The tree of all triangles of `mesh`; no node without triangles.
     pub(super) fn of_triangles(mesh: &TriMesh) -> Self {
-        let boxes: Vec<Aabb> =
-            (0..mesh.triangles.len()).map(|t| Aabb::of_points(&mesh.corners_m(t))).collect();
+        let triangles = (0..mesh.triangles.len()).into_par_iter().with_min_len(PARALLEL_ABOVE);
+        let boxes: Vec<Aabb> = triangles.map(|t| Aabb::of_points(&mesh.corners_m(t))).collect();
         let n = u32::try_from(boxes.len()).expect("meshes have fewer than 2^32 triangles");
-        let mut tree = Self { nodes: Vec::new(), order: (0..n).collect(), boxes };
+        // Sorted with their centres: looking those up costs more than the comparisons.
+        let centre = |t: u32| boxes[t as usize].min_m + boxes[t as usize].max_m;
+        let mut order: Vec<(DVec3, u32)> = (0..n).map(|t| (centre(t), t)).collect();
+        let mut nodes = Vec::new();
         if n > 0 {
-            tree.split(0, n as usize);
+            split(&boxes, &mut order, 0, &mut nodes);
         }
-        tree
+        Self { nodes, order: order.into_iter().map(|(_, t)| t).collect(), boxes }
     }
 
-    fn split(&mut self, first: usize, end: usize) -> u32 {
-        let boxes = &self.boxes;
-        let mut bounds = Aabb::EMPTY;
-        let mut centres = Aabb::EMPTY;
-        for &t in &self.order[first..end] {
-            let b = &boxes[t as usize];
-            bounds = bounds.including(b.min_m).including(b.max_m);
-            centres = centres.including(b.center_m());
+    /// Makes the boxes fit again after the triangles `moved` have moved; their order stays.
+    pub(super) fn refit(&mut self, mesh: &TriMesh, moved: &[u32]) {
+        for &t in moved {
+            self.boxes[t as usize] = Aabb::of_points(&mesh.corners_m(t as usize));
         }
-        let id = self.nodes.len();
-        self.nodes.push(BoxNode { bounds, first: first as u32, end: end as u32, children: None });
-        if end - first > LEAF_SIZE {
-            let size = centres.size_m();
-            let axis = (0..3).max_by(|&a, &b| size[a].total_cmp(&size[b])).expect("three axes");
-            let middle = (end - first) / 2;
-            self.order[first..end].select_nth_unstable_by(middle, |&s, &t| {
-                let centre = |t: u32| boxes[t as usize].min_m[axis] + boxes[t as usize].max_m[axis];
-                centre(s).total_cmp(&centre(t)).then(s.cmp(&t))
-            });
-            let left = self.split(first, first + middle);
-            let right = self.split(first + middle, end);
-            self.nodes[id].children = Some([left, right]);
+        let around = |a: Aabb, b: &Aabb| a.including(b.min_m).including(b.max_m);
+        for at in (0..self.nodes.len()).rev() {
+            let node = &self.nodes[at];
+            let bounds = match node.children {
+                Some([l, r]) => around(self.nodes[l as usize].bounds, &self.nodes[r as usize].bounds),
+                None => {
+                    let own = &self.order[node.first as usize..node.end as usize];
+                    own.iter().fold(Aabb::EMPTY, |bounds, &t| around(bounds, &self.boxes[t as usize]))
+                }
+            };
+            self.nodes[at].bounds = bounds;
         }
-        id as u32
+    }
+
+    /// The triangles whose boxes have a point in common with `bounds`.
+    pub(super) fn boxes_touching(&self, bounds: &Aabb) -> Vec<u32> {
+        let mut found = Vec::new();
+        let mut pending = if self.nodes.is_empty() { Vec::new() } else { vec![0u32] };
+        while let Some(at) = pending.pop() {
+            let node = &self.nodes[at as usize];
+            if overlap(&node.bounds, bounds) {
+                match node.children {
+                    Some(children) => pending.extend(children),
+                    None => {
+                        let own = &self.order[node.first as usize..node.end as usize];
+                        found.extend(own.iter().filter(|&&t| overlap(&self.boxes[t as usize], bounds)));
+                    }
+                }
+            }
+        }
+        found
     }
 
     /// The point of `mesh`, the tree's own, that is closest to `point_m`, if one is within `reach_m`: its
@@ -116,4 +135,49 @@ impl BoxTree {
 /// Squared distance [m2] from a point to a box: 0 inside.
 fn squared_distance(bounds: &Aabb, point_m: DVec3) -> f64 {
     point_m.clamp(bounds.min_m, bounds.max_m).distance_squared(point_m)
+}
+
+/// Adds the nodes above `order`, the part of the tree's order that begins at `first`, each triangle with twice
+/// its box's centre [m], their root before them; answers where it is. Each range is split by itself: the tree is
+/// the same at any number of threads.
+fn split(boxes: &[Aabb], order: &mut [(DVec3, u32)], first: usize, nodes: &mut Vec<BoxNode>) -> u32 {
+    let id = nodes.len();
+    let end = first + order.len();
+    let around = |a: Aabb, b: &Aabb| a.including(b.min_m).including(b.max_m);
+    nodes.push(BoxNode { bounds: Aabb::EMPTY, first: first as u32, end: end as u32, children: None });
+    if order.len() <= LEAF_SIZE {
+        nodes[id].bounds = order.iter().fold(Aabb::EMPTY, |sum, &(_, t)| around(sum, &boxes[t as usize]));
+    } else {
+        let size = order.iter().fold(Aabb::EMPTY, |sum, &(centre, _)| sum.including(centre)).size_m();
+        let axis = (0..3).max_by(|&a, &b| size[a].total_cmp(&size[b])).expect("three axes");
+        let middle = order.len() / 2;
+        order.select_nth_unstable_by(middle, |(p, s), (q, t)| p[axis].total_cmp(&q[axis]).then(s.cmp(t)));
+        let parallel = order.len() > PARALLEL_ABOVE;
+        let (left, right) = order.split_at_mut(middle);
+        let children = if parallel {
+            let (mut of_left, mut of_right) = (Vec::new(), Vec::new());
+            rayon::join(
+                || split(boxes, left, first, &mut of_left),
+                || split(boxes, right, first + middle, &mut of_right),
+            );
+            [of_left, of_right].map(|half| append(nodes, half))
+        } else {
+            let left = split(boxes, left, first, nodes);
+            [left, split(boxes, right, first + middle, nodes)]
+        };
+        let [l, r] = children.map(|child| nodes[child as usize].bounds);
+        nodes[id].bounds = around(l, &r);
+        nodes[id].children = Some(children);
+    }
+    id as u32
+}
+
+/// Adds the nodes of a tree to `nodes`; answers where its root is.
+fn append(nodes: &mut Vec<BoxNode>, tree: Vec<BoxNode>) -> u32 {
+    let by = nodes.len() as u32;
+    nodes.extend(tree.into_iter().map(|node| {
+        let children = node.children.map(|both| both.map(|child| child + by));
+        BoxNode { children, ..node }
+    }));
+    by
 }

@@ -1,5 +1,7 @@
 //! Whether a triangle mesh is the closed, outward oriented surface of a solid.
 
+use rayon::prelude::*;
+
 use super::TriMesh;
 use super::error::{Place, SurfaceError};
 use super::intersect::self_intersections;
@@ -135,7 +137,7 @@ pub(super) fn sorted_sides(mesh: &TriMesh) -> Vec<Side> {
             sides.push(Side { low: from.min(to), high: from.max(to), triangle, ascending: from < to });
         }
     }
-    sides.sort_unstable();
+    sides.par_sort_unstable();
     sides
 }
 

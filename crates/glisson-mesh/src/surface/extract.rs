@@ -19,7 +19,7 @@ use super::TriMesh;
 use super::check::check_closed;
 use super::decimate::decimate;
 use super::error::{Place, SurfaceError};
-use super::intersect::self_intersections;
+use super::intersect::{Crossings, self_intersections};
 use super::smooth::{EdgeGraph, offset_to_volume};
 use crate::image::VoxelGrid;
 use crate::image::topology::{TopologyRepair, repair_to_ball};
@@ -211,11 +211,13 @@ struct Net {
 
 fn extract(grid: &VoxelGrid, solid: &[bool]) -> Net {
     let (mut low, mut high) = ([usize::MAX; 3], [0; 3]);
-    for index in (0..solid.len()).filter(|&v| solid[v]) {
-        let voxel = grid.voxel(index);
-        for axis in 0..3 {
-            low[axis] = low[axis].min(voxel[axis]);
-            high[axis] = high[axis].max(voxel[axis]);
+    for (row, voxels) in solid.chunks_exact(grid.dims[0]).enumerate() {
+        let Some(first) = voxels.iter().position(|&v| v) else { continue };
+        let last = voxels.iter().rposition(|&v| v).expect("a row with a first voxel has a last");
+        let [j, k] = [row % grid.dims[1], row / grid.dims[1]];
+        for (axis, [from, to]) in [[first, last], [j, j], [k, k]].into_iter().enumerate() {
+            low[axis] = low[axis].min(from);
+            high[axis] = high[axis].max(to);
         }
     }
     // Two layers outside on each side: surface nets make no faces in the last one.
@@ -322,8 +324,9 @@ pub(super) fn untangle(
     let smooth_m = mesh.positions_m.clone();
     // 1: smooth, 0: safe.
     let mut share = vec![1.0f64; smooth_m.len()];
+    let mut crossings = Crossings::of(mesh);
     for round in 0..=MOST_UNTANGLING_ROUNDS {
-        let pairs = self_intersections(mesh, usize::MAX);
+        let pairs = &crossings.pairs;
         let Some(first) = pairs.first() else { break };
         if round == MOST_UNTANGLING_ROUNDS {
             let place = Place(mesh.corners_m(first[0] as usize)[0]);
@@ -341,9 +344,10 @@ pub(super) fn untangle(
             }
             ring = ring.iter().flat_map(|&v| graph.neighbours(v as usize)).copied().collect();
         }
-        for v in 0..smooth_m.len() {
+        for v in (0..smooth_m.len()).filter(|&v| reached[v]) {
             mesh.positions_m[v] = safe_m[v].lerp(smooth_m[v], share[v]);
         }
+        crossings.follow(mesh, &reached);
     }
     Ok(share.iter().filter(|&&s| s < 1.0).count())
 }

@@ -5,36 +5,133 @@
 //! fast robust geometric predicates", 1997, doi 10.1007/PL00009321), so touching counts and rounding cannot
 //! hide or invent a pair. Triangles with no area must be sorted out before.
 
+use rayon::prelude::*;
 use robust::{Coord, Coord3D, orient2d, orient3d};
 
 use super::TriMesh;
 use super::box_tree::{BoxTree, overlap};
 use crate::math::DVec3;
 
+/// As many pairs of nodes are enough to share among threads.
+const ENOUGH_TASKS: usize = 512;
+/// Rounding of a sum of three products of differences, each rounded, relative to the products' sizes; the
+/// exact bound is below 1e-15.
+const ROUNDING: f64 = 1e-14;
+
 /// Up to `limit` pairs of intersecting triangles of `mesh`, each ascending, the list ascending. Without a
-/// limit that is reached, it holds all of them.
+/// limit that is reached, it holds all of them. The same at any number of threads.
 pub fn self_intersections(mesh: &TriMesh, limit: usize) -> Vec<[u32; 2]> {
-    let tree = BoxTree::of_triangles(mesh);
-    let mut found = Vec::new();
-    if tree.nodes.is_empty() || limit == 0 {
-        return found;
+    crossings_in(mesh, &BoxTree::of_triangles(mesh), limit)
+}
+
+/// The pairs of intersecting triangles of a surface of which few vertices move at a time.
+pub(super) struct Crossings {
+    tree: BoxTree,
+    /// As [`self_intersections`] gives them.
+    pub(super) pairs: Vec<[u32; 2]>,
+}
+
+impl Crossings {
+    /// Those of `mesh`.
+    pub(super) fn of(mesh: &TriMesh) -> Self {
+        let tree = BoxTree::of_triangles(mesh);
+        Self { pairs: crossings_in(mesh, &tree, usize::MAX), tree }
     }
-    let mut pending = vec![(0u32, 0u32)];
-    while let Some((a, b)) = pending.pop() {
-        let (node_a, node_b) = (&tree.nodes[a as usize], &tree.nodes[b as usize]);
-        if !overlap(&node_a.bounds, &node_b.bounds) {
-            continue;
+
+    /// Follows `mesh`, the same but for the places of the vertices that `is_moved`.
+    pub(super) fn follow(&mut self, mesh: &TriMesh, is_moved: &[bool]) {
+        let touched = |t: u32| mesh.triangles[t as usize].iter().any(|&v| is_moved[v as usize]);
+        let moved: Vec<u32> = (0..mesh.triangles.len() as u32).filter(|&t| touched(t)).collect();
+        self.tree.refit(mesh, &moved);
+        self.pairs.retain(|&[s, t]| !touched(s) && !touched(t));
+        let found = moved.par_iter().flat_map_iter(|&s| {
+            let beside = self.tree.boxes_touching(&self.tree.boxes[s as usize]);
+            // A pair of two moved ones is found by its first.
+            let others = beside.into_iter().filter(move |&t| t > s || (t < s && !touched(t)));
+            others.filter(move |&t| meet(mesh, s, t)).map(move |t| [s.min(t), s.max(t)])
+        });
+        self.pairs.par_extend(found);
+        self.pairs.sort_unstable();
+    }
+}
+
+fn meet(mesh: &TriMesh, s: u32, t: u32) -> bool {
+    !only_share_a_vertex(mesh, s, t) && triangles_intersect(mesh, s, t)
+}
+
+fn crossings_in(mesh: &TriMesh, tree: &BoxTree, limit: usize) -> Vec<[u32; 2]> {
+    if tree.nodes.is_empty() || limit == 0 {
+        return Vec::new();
+    }
+    // Level by level, until there are enough pairs of nodes to share.
+    let mut tasks = vec![[0u32, 0u32]];
+    while tasks.len() < ENOUGH_TASKS {
+        let mut next = Vec::with_capacity(3 * tasks.len());
+        for &pair in &tasks {
+            match parts(tree, pair) {
+                Parts::Apart => {}
+                Parts::Leaves => next.push(pair),
+                Parts::Two(pairs) => next.extend(pairs),
+                Parts::Three(pairs) => next.extend(pairs),
+            }
         }
-        match (node_a.children, node_b.children) {
-            (Some([l, r]), _) if a == b => pending.extend([(l, l), (r, r), (l, r)]),
-            (None, None) => {
-                let range_a = node_a.first as usize..node_a.end as usize;
-                for (n, &s) in tree.order[range_a].iter().enumerate() {
-                    let from = if a == b { node_a.first as usize + n + 1 } else { node_b.first as usize };
+        if next.len() <= tasks.len() {
+            break;
+        }
+        tasks = next;
+    }
+    let found = tasks.par_iter().map(|&task| crossings_between(mesh, tree, task, limit));
+    let mut found: Vec<[u32; 2]> = found.flatten_iter().collect();
+    found.sort_unstable();
+    found.truncate(limit);
+    found
+}
+
+/// What a pair of nodes splits into.
+enum Parts {
+    /// Nothing: their boxes have no point in common.
+    Apart,
+    /// Both are leaves.
+    Leaves,
+    Two([[u32; 2]; 2]),
+    /// A node with itself.
+    Three([[u32; 2]; 3]),
+}
+
+fn parts(tree: &BoxTree, [a, b]: [u32; 2]) -> Parts {
+    let (node_a, node_b) = (&tree.nodes[a as usize], &tree.nodes[b as usize]);
+    if !overlap(&node_a.bounds, &node_b.bounds) {
+        return Parts::Apart;
+    }
+    match (node_a.children, node_b.children) {
+        (None, None) => Parts::Leaves,
+        (Some([l, r]), _) if a == b => Parts::Three([[l, l], [r, r], [l, r]]),
+        (Some([l, r]), Some(_)) if node_a.end - node_a.first >= node_b.end - node_b.first => {
+            Parts::Two([[l, b], [r, b]])
+        }
+        (_, Some([l, r])) => Parts::Two([[a, l], [a, r]]),
+        (Some([l, r]), None) => Parts::Two([[l, b], [r, b]]),
+    }
+}
+
+/// Pairs of intersecting triangles of two nodes, at least `limit` if there are as many.
+fn crossings_between(mesh: &TriMesh, tree: &BoxTree, task: [u32; 2], limit: usize) -> Vec<[u32; 2]> {
+    let mut found = Vec::new();
+    let mut pending = vec![task];
+    while let Some([a, b]) = pending.pop() {
+        match parts(tree, [a, b]) {
+            Parts::Apart => {}
+            Parts::Two(pairs) => pending.extend(pairs),
+            Parts::Three(pairs) => pending.extend(pairs),
+            Parts::Leaves => {
+                let (node_a, node_b) = (&tree.nodes[a as usize], &tree.nodes[b as usize]);
+                for at in node_a.first as usize..node_a.end as usize {
+                    let s = tree.order[at];
+                    let from = if a == b { at + 1 } else { node_b.first as usize };
                     for &t in &tree.order[from..node_b.end as usize] {
-                        let meet = overlap(&tree.boxes[s as usize], &tree.boxes[t as usize])
-                            && triangles_intersect(mesh, s, t);
-                        if meet {
+                        let is_crossing =
+                            overlap(&tree.boxes[s as usize], &tree.boxes[t as usize]) && meet(mesh, s, t);
+                        if is_crossing {
                             found.push([s.min(t), s.max(t)]);
                         }
                     }
@@ -43,17 +140,29 @@ pub fn self_intersections(mesh: &TriMesh, limit: usize) -> Vec<[u32; 2]> {
                     break;
                 }
             }
-            (Some([l, r]), None) => pending.extend([(l, b), (r, b)]),
-            (None, Some([l, r])) => pending.extend([(a, l), (a, r)]),
-            (Some([l, r]), Some(_)) if node_a.end - node_a.first >= node_b.end - node_b.first => {
-                pending.extend([(l, b), (r, b)]);
-            }
-            (Some(_), Some([l, r])) => pending.extend([(a, l), (a, r)]),
         }
     }
-    found.sort_unstable();
-    found.truncate(limit);
     found
+}
+
+/// Quick and on the safe side: whether two triangles share one vertex and a plane through it has the other
+/// corners of one strictly on one side, those of the other on the other. Most neighbours on a smooth surface
+/// are parted by the plane across the line that joins the middles of their opposite edges.
+fn only_share_a_vertex(mesh: &TriMesh, s: u32, t: u32) -> bool {
+    let (a, b) = (mesh.triangles[s as usize], mesh.triangles[t as usize]);
+    let mut common = (0..9).filter(|c| a[c / 3] == b[c % 3]);
+    let (Some(place), None) = (common.next(), common.next()) else { return false };
+    let (at_a, at_b) = (place / 3, place % 3);
+    let apex = mesh.positions_m[a[at_a] as usize];
+    let arm = |v: u32| mesh.positions_m[v as usize] - apex;
+    let arms_a = [arm(a[(at_a + 1) % 3]), arm(a[(at_a + 2) % 3])];
+    let arms_b = [arm(b[(at_b + 1) % 3]), arm(b[(at_b + 2) % 3])];
+    let across = (arms_a[0] + arms_a[1]) - (arms_b[0] + arms_b[1]);
+    let clearly_positive = |x: DVec3| {
+        let terms = across * x;
+        terms.element_sum() > ROUNDING * terms.abs().element_sum() + f64::MIN_POSITIVE
+    };
+    arms_a.into_iter().all(clearly_positive) && arms_b.into_iter().all(|x| clearly_positive(-x))
 }
 
 /// Whether triangles `s` and `t` meet anywhere but in the vertices or the edge they share by index.

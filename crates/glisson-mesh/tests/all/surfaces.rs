@@ -429,6 +429,94 @@ fn smoothing_takes_noise_and_leaves_the_shape_and_the_volume() {
     assert!(matches!(refused, Err(SurfaceError::Parameter { .. })));
 }
 
+/// Solves (1 + (tau L)^2) x = x0 by elimination; L from its definition.
+fn low_passed_directly(mesh: &TriMesh, wavelength_m: f64) -> Vec<DVec3> {
+    let n = mesh.positions_m.len();
+    let edges: std::collections::BTreeSet<[usize; 2]> = mesh
+        .triangles
+        .iter()
+        .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]])
+        .map(|[a, b]| [a.min(b) as usize, a.max(b) as usize])
+        .collect();
+    let length = |&[a, b]: &[usize; 2]| (mesh.positions_m[b] - mesh.positions_m[a]).length();
+    let mut lengths: Vec<f64> = edges.iter().map(length).collect();
+    lengths.sort_by(f64::total_cmp);
+    let shortest = 0.1 * lengths[lengths.len() / 2];
+    let tau = (wavelength_m / std::f64::consts::TAU).powi(2);
+    let mut laplacian = vec![vec![0.0; n]; n];
+    for edge in &edges {
+        let weight = tau * length(edge).max(shortest).powi(-2);
+        let [a, b] = *edge;
+        for (at, to, value) in [(a, a, weight), (b, b, weight), (a, b, -weight), (b, a, -weight)] {
+            laplacian[at][to] += value;
+        }
+    }
+    let squared = |i: usize, j: usize| (0..n).map(|k| laplacian[i][k] * laplacian[k][j]).sum::<f64>();
+    let mut matrix: Vec<Vec<f64>> =
+        (0..n).map(|i| (0..n).map(|j| squared(i, j) + f64::from(u8::from(i == j))).collect()).collect();
+    let mut x = mesh.positions_m.clone();
+    // Symmetric and positive definite: no pivoting.
+    for i in 0..n {
+        let pivot = matrix[i].clone();
+        for j in i + 1..n {
+            let factor = matrix[j][i] / pivot[i];
+            for (value, p) in matrix[j][i..].iter_mut().zip(&pivot[i..]) {
+                *value -= factor * p;
+            }
+            x[j] = x[j] - factor * x[i];
+        }
+    }
+    for i in (0..n).rev() {
+        let known: DVec3 = (i + 1..n).map(|j| matrix[i][j] * x[j]).sum();
+        x[i] = (x[i] - known) / matrix[i][i];
+    }
+    x
+}
+
+#[test]
+fn the_low_pass_filter_solves_its_equation() {
+    let mut mesh = torus(0.03, 0.01, 20, 10);
+    let mut random = SeededRandom::new(3);
+    for p in &mut mesh.positions_m {
+        *p += DVec3::new(0.1, -0.2, 0.3);
+        *p += 1e-3 * DVec3::new(random.normal(), random.normal(), random.normal());
+    }
+    // One short edge stiffens the system.
+    mesh.positions_m[0] = mesh.positions_m[1].lerp(mesh.positions_m[0], 0.02);
+    for wavelength_m in [1e-3, 8e-3, 25e-3] {
+        let smooth = smooth_surface(&mesh, wavelength_m).unwrap();
+        let mut expected = TriMesh {
+            positions_m: low_passed_directly(&mesh, wavelength_m),
+            triangles: mesh.triangles.clone(),
+        };
+        offset_to_volume(&mut expected, mesh.volume_m3()).unwrap();
+        let off = smooth.positions_m.iter().zip(&expected.positions_m).map(|(a, b)| (*a - *b).length());
+        let off = off.fold(0.0, f64::max);
+        assert!(off < 1e-6 * 0.04, "{off} m at {wavelength_m} m");
+    }
+    mesh.positions_m.push(DVec3::splat(0.5));
+    let unused = smooth_surface(&mesh, 8e-3).unwrap().positions_m[200];
+    assert_eq!(unused, DVec3::splat(0.5), "a vertex that no triangle uses stays");
+}
+
+#[test]
+fn surfaces_have_the_same_bits_at_any_thread_count() {
+    let grid = oblique_grid(false);
+    let (mut mask, _) = ball_on(&grid, 22e-3);
+    // A tunnel and a thin sheet: repair and untangling have something to do.
+    for index in 0..mask.len() {
+        let [i, j, k] = grid.voxel(index);
+        mask[index] &= !((35..37).contains(&i) && (30..32).contains(&j));
+        mask[index] |= k == 12 && j == 36 && (2..70).contains(&i);
+    }
+    let with_threads = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
+    let made =
+        |n| with_threads(n).install(|| surface_of_mask(&grid, &mask, &SurfaceParams::default()).unwrap());
+    let one = made(1);
+    assert_eq!(one.1.repair.tunnels_filled, 1, "{:?}", one.1.repair);
+    assert_eq!(one, made(3));
+}
+
 #[test]
 fn an_offset_meets_the_volume() {
     let mut mesh = torus(0.03, 0.01, 48, 24);

@@ -2,7 +2,10 @@
 
 use std::collections::VecDeque;
 
+use rayon::prelude::*;
+
 use super::TopologyError;
+use crate::disjoint_sets::DisjointSets;
 use crate::image::VoxelGrid;
 
 /// Most voxels of a crop: places are kept as `u32`.
@@ -93,11 +96,12 @@ impl Crop {
         (added, removed)
     }
 
-    fn index(&self, [i, j, k]: [usize; 3]) -> usize {
+    pub(super) fn index(&self, [i, j, k]: [usize; 3]) -> usize {
         i + self.dims[0] * (j + self.dims[1] * k)
     }
 
-    fn strides(&self) -> [usize; 3] {
+    /// Steps between neighbours along i, j, k.
+    pub(super) fn strides(&self) -> [usize; 3] {
         [1, self.dims[0], self.dims[0] * self.dims[1]]
     }
 
@@ -115,6 +119,11 @@ impl Crop {
             }
         }
         offsets.try_into().expect("a voxel has 26 neighbours")
+    }
+
+    /// Dimensions without the border layer.
+    pub(super) fn inner_dims(&self) -> [usize; 3] {
+        self.dims.map(|d| d - 2)
     }
 
     /// Number of voxels set.
@@ -148,22 +157,32 @@ impl Crop {
         })
     }
 
-    fn for_each_block(&self, mut see: impl FnMut(u8)) {
-        for k in 0..self.dims[2] - 1 {
+    /// How many blocks have each pattern (bit x + 2 y + 4 z).
+    fn count_blocks(&self) -> [u32; 256] {
+        let row = |j: usize, k: usize| &self.cells[self.index([0, j, k])..][..self.dims[0]];
+        let slab = |k: usize| {
+            let mut counts = [0; 256];
             for j in 0..self.dims[1] - 1 {
-                for i in 0..self.dims[0] - 1 {
-                    see(self.block(self.index([i, j, k])));
+                let rows = [row(j, k), row(j + 1, k), row(j, k + 1), row(j + 1, k + 1)];
+                // Four voxels of one i: every second bit.
+                let column = |i: usize| rows[0][i] | rows[1][i] << 2 | rows[2][i] << 4 | rows[3][i] << 6;
+                let mut low = column(0);
+                for i in 1..self.dims[0] {
+                    let high = column(i);
+                    counts[usize::from(low | high << 1)] += 1;
+                    low = high;
                 }
             }
-        }
+            counts
+        };
+        let sum = |a: [u32; 256], b: [u32; 256]| std::array::from_fn(|pattern| a[pattern] + b[pattern]);
+        (0..self.dims[2] - 1).into_par_iter().map(slab).reduce(|| [0; 256], sum)
     }
 
     /// Corners - edges + faces - voxels of the closed solid.
     pub(super) fn euler_characteristic(&self) -> i64 {
-        let contribution = euler_contributions();
-        let mut sum = 0;
-        self.for_each_block(|bits| sum += contribution[usize::from(bits)]);
-        sum
+        let counts = self.count_blocks();
+        euler_contributions().iter().zip(counts).map(|(each, count)| each * i64::from(count)).sum()
     }
 
     /// Clears the voxel at `index`; answers how that changes the Euler characteristic.
@@ -181,34 +200,68 @@ impl Crop {
 
     /// Whether all blocks are well-composed.
     pub(super) fn is_well_composed(&self) -> bool {
-        let table = well_composed_blocks();
-        let mut all = true;
-        self.for_each_block(|bits| all &= table[usize::from(bits)]);
-        all
+        let counts = self.count_blocks();
+        well_composed_blocks().into_iter().zip(counts).all(|(is_well, count)| is_well || count == 0)
     }
 
     /// Clears all pieces (26-connected) but the largest, the first of equals; answers how many.
     pub(super) fn keep_largest_piece(&mut self) -> usize {
-        let (labels, sizes) = components(self, 1, true);
-        let largest = (0..sizes.len()).max_by_key(|&p| (sizes[p], usize::MAX - p));
-        if let Some(largest) = largest.filter(|_| sizes.len() > 1) {
-            for (cell, &label) in self.cells.iter_mut().zip(&labels) {
-                *cell = u8::from(label as usize == largest + 1);
-            }
+        let pieces = Pieces::of(self, 1, true);
+        let largest = (0..pieces.sizes.len()).max_by_key(|&p| (pieces.sizes[p], usize::MAX - p));
+        for run in pieces.runs.iter().filter(|run| Some(run.piece as usize) != largest) {
+            self.cells[run.places()].fill(0);
         }
-        sizes.len().saturating_sub(1)
+        pieces.sizes.len().saturating_sub(1)
     }
 
     /// Fills background pieces (6-connected) that do not reach the border; answers how many.
     pub(super) fn fill_cavities(&mut self) -> usize {
-        let (labels, sizes) = components(self, 0, false);
-        // The border layer comes first in scanning order, so label 1 is the outside.
-        for (cell, &label) in self.cells.iter_mut().zip(&labels) {
-            if label > 1 {
-                *cell = 1;
+        let pieces = Pieces::of(self, 0, false);
+        // The border layer comes first in scanning order, so piece 0 is the outside.
+        for run in pieces.runs.iter().filter(|run| run.piece > 0) {
+            self.cells[run.places()].fill(1);
+        }
+        pieces.sizes.len().saturating_sub(1)
+    }
+
+    /// The voxels from `low` to `high`, both included, as a crop whose border layer holds what stands there.
+    pub(super) fn part(&self, [low, high]: [[usize; 3]; 2]) -> Self {
+        let dims = [0, 1, 2].map(|a| high[a] + 1 - low[a]);
+        let corner = [0, 1, 2].map(|a| self.low[a] + low[a]);
+        let mut part = Self { dims, low: corner, spacing_mm: self.spacing_mm, cells: Vec::new() };
+        part.cells.reserve(dims.iter().product());
+        for k in low[2]..=high[2] {
+            for j in low[1]..=high[1] {
+                let start = self.index([low[0], j, k]);
+                part.cells.extend_from_slice(&self.cells[start..start + dims[0]]);
             }
         }
-        sizes.len().saturating_sub(1)
+        part
+    }
+
+    /// Writes back a [`Crop::part`] whose first voxel is `low`.
+    pub(super) fn set_part(&mut self, low: [usize; 3], part: &Self) {
+        for (row, cells) in part.cells.chunks_exact(part.dims[0]).enumerate() {
+            let [j, k] = [row % part.dims[1], row / part.dims[1]];
+            let start = self.index([low[0], low[1] + j, low[2] + k]);
+            self.cells[start..start + cells.len()].copy_from_slice(cells);
+        }
+    }
+
+    /// First and last voxel of the box around `places`, grown by `units` of chamfer length and a layer, within
+    /// the crop.
+    pub(super) fn box_around(&self, places: impl Iterator<Item = usize>, units: u32) -> [[usize; 3]; 2] {
+        let (mut low, mut high) = (self.dims, [0; 3]);
+        for place in places {
+            let (row, i) = (place / self.dims[0], place % self.dims[0]);
+            for (axis, at) in [i, row % self.dims[1], row / self.dims[1]].into_iter().enumerate() {
+                low[axis] = low[axis].min(at);
+                high[axis] = high[axis].max(at);
+            }
+        }
+        let margin = self.steps().map(|step| (f64::from(units) / step).ceil() as usize + 2);
+        let low = [0, 1, 2].map(|a| low[a].saturating_sub(margin[a]));
+        [low, [0, 1, 2].map(|a| (high[a] + margin[a]).min(self.dims[a] - 1))]
     }
 
     /// Weights of steps along i, j, k in chamfer units.
@@ -241,39 +294,95 @@ impl Crop {
     }
 }
 
-/// Labels (1, 2, ... in scanning order; 0 elsewhere) of the pieces of cells equal to `of`, and their sizes.
-/// Pieces join by faces, or also by edges and corners.
-pub(super) fn components(crop: &Crop, of: u8, by_corners: bool) -> (Vec<u32>, Vec<usize>) {
-    let all = crop.neighbour_offsets();
-    let offsets = if by_corners { &all[..] } else { &all[..6] };
-    let mut labels = vec![0u32; crop.cells.len()];
-    let mut sizes = Vec::new();
-    let mut stack = Vec::new();
-    for start in 0..crop.cells.len() {
-        if crop.cells[start] != of || labels[start] != 0 {
-            continue;
+/// Neighbouring cells of one row.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Run {
+    start: u32,
+    end: u32,
+    /// The piece it belongs to, in scanning order from 0.
+    pub(super) piece: u32,
+}
+
+impl Run {
+    /// Its places in the crop.
+    pub(super) fn places(&self) -> std::ops::Range<usize> {
+        self.start as usize..self.end as usize
+    }
+}
+
+/// The connected pieces of a crop's cells of one value.
+#[derive(Debug)]
+pub(super) struct Pieces {
+    /// All cells of that value, in scanning order.
+    pub(super) runs: Vec<Run>,
+    /// Cells of each piece.
+    pub(super) sizes: Vec<usize>,
+}
+
+impl Pieces {
+    /// The pieces of cells equal to `of`, which join by faces, or also by edges and corners.
+    pub(super) fn of(crop: &Crop, of: u8, by_corners: bool) -> Self {
+        let [n_i, n_j, n_k] = crop.dims;
+        let mut runs: Vec<Run> = Vec::new();
+        // Runs of row r: first_run[r] to first_run[r + 1].
+        let mut first_run = Vec::with_capacity(n_j * n_k + 1);
+        for (row, cells) in crop.cells.chunks_exact(n_i).enumerate() {
+            first_run.push(runs.len());
+            let mut at = 0;
+            while let Some(from) = cells[at..].iter().position(|&c| c == of) {
+                let start = at + from;
+                at = cells[start..].iter().position(|&c| c != of).map_or(n_i, |n| start + n);
+                let place =
+                    |i: usize| u32::try_from(row * n_i + i).expect("places are below the voxel limit");
+                runs.push(Run { start: place(start), end: place(at), piece: 0 });
+            }
         }
-        let label = u32::try_from(sizes.len() + 1).expect("fewer pieces than voxels");
-        labels[start] = label;
-        stack.push(start);
-        let mut size = 0;
-        while let Some(index) = stack.pop() {
-            size += 1;
-            for &offset in offsets {
-                // The border layer has neighbours outside the array, or wrapped onto its other side, which
-                // is border too: wrapping joins only background that is joined anyway.
-                let Some(next) = index.checked_add_signed(offset).filter(|&n| n < labels.len()) else {
-                    continue;
-                };
-                if crop.cells[next] == of && labels[next] == 0 {
-                    labels[next] = label;
-                    stack.push(next);
+        first_run.push(runs.len());
+        let mut sets = DisjointSets::new(runs.len());
+        let reach = u32::from(by_corners);
+        for (row, (j, k)) in (0..n_k).flat_map(|k| (0..n_j).map(move |j| (j, k))).enumerate() {
+            let mut join = |earlier: usize| {
+                // Both rows from left to right, in step; places are compared in this row's numbers.
+                let shift = ((row - earlier) * n_i) as u32;
+                let (mut a, mut b) = (first_run[earlier], first_run[row]);
+                while a < first_run[earlier + 1] && b < first_run[row + 1] {
+                    let (above, own) = (runs[a], runs[b]);
+                    if above.start + shift < own.end + reach && own.start < above.end + shift + reach {
+                        sets.join(a, b);
+                    }
+                    if above.end + shift < own.end {
+                        a += 1;
+                    } else {
+                        b += 1;
+                    }
+                }
+            };
+            if j > 0 {
+                join(row - 1);
+            }
+            if k > 0 {
+                join(row - n_j);
+                if by_corners && j > 0 {
+                    join(row - n_j - 1);
+                }
+                if by_corners && j + 1 < n_j {
+                    join(row - n_j + 1);
                 }
             }
         }
-        sizes.push(size);
+        let mut sizes: Vec<usize> = Vec::new();
+        for at in 0..runs.len() {
+            let root = sets.root(at);
+            // Roots are the smallest member, so a root is numbered before its members.
+            if root == at {
+                runs[at].piece = u32::try_from(sizes.len()).expect("fewer pieces than voxels");
+                sizes.push(0);
+            }
+            runs[at].piece = runs[root].piece;
+            sizes[runs[at].piece as usize] += runs[at].places().len();
+        }
+        Self { runs, sizes }
     }
-    (labels, sizes)
 }
 
 /// Distance of each cell to the nearest cell that `is_target` (0 there), in chamfer units: paths over the 26
@@ -342,39 +451,56 @@ pub(super) fn propagate(set: &mut Crop, candidates: &[u8], priority: &[u32], dir
     let offsets = set.neighbour_offsets();
     let strides = set.strides();
     let table = well_composed_blocks();
-    let open = |set: &Crop, index: usize| candidates[index] == 1 && set.cells[index] != after;
     let mut queue = BucketQueue::new(priority);
-    // 1: in the queue; 2: tested and refused, tried again when a neighbour changes.
-    let mut state = vec![0u8; set.cells.len()];
+    // One byte a voxel, so that a look at a neighbour is one access.
+    let mut state: Vec<u8> = set
+        .cells
+        .iter()
+        .zip(candidates)
+        .map(|(&cell, &candidate)| if candidate == 1 && cell != after { cell | OPEN } else { cell })
+        .collect();
     for k in 1..set.dims[2] - 1 {
         for j in 1..set.dims[1] - 1 {
-            for i in 1..set.dims[0] - 1 {
-                let index = set.index([i, j, k]);
+            let start = set.index([1, j, k]);
+            for index in start..start + set.dims[0] - 2 {
                 let on_front =
-                    || offsets[..6].iter().any(|&o| set.cells[index.wrapping_add_signed(o)] == after);
-                if open(set, index) && on_front() {
-                    state[index] = 1;
+                    || offsets[..6].iter().any(|&o| state[index.wrapping_add_signed(o)] & SET == after);
+                if state[index] & OPEN != 0 && on_front() {
+                    state[index] |= WAITING;
                     queue.push(index);
                 }
             }
         }
     }
     while let Some(index) = queue.pop() {
-        let around = neighbourhood(&set.cells, index, strides);
+        state[index] &= !WAITING;
+        let around = neighbourhood(&state, index, strides);
         if !can_flip(around, after, &table) {
-            state[index] = 2;
+            state[index] |= REFUSED;
             continue;
         }
+        state[index] = after;
         set.cells[index] = after;
         for (n, &offset) in offsets.iter().enumerate() {
             let next = index.wrapping_add_signed(offset);
-            if open(set, next) && (state[next] == 2 || (n < 6 && state[next] == 0)) {
-                state[next] = 1;
+            let found = state[next];
+            let is_due = found & (OPEN | WAITING) == OPEN && (n < 6 || found & REFUSED != 0);
+            if is_due {
+                state[next] = found & !REFUSED | WAITING;
                 queue.push(next);
             }
         }
     }
 }
+
+/// What [`propagate`] knows of a voxel: its cell,
+const SET: u8 = 1;
+/// that it is a candidate not yet flipped,
+const OPEN: u8 = 2;
+/// that it is in the queue,
+const WAITING: u8 = 4;
+/// that it was tested and refused, to be tried again when a neighbour changes.
+const REFUSED: u8 = 8;
 
 /// Places ordered by priority, highest first, equals first in first out.
 struct BucketQueue<'a> {
@@ -417,15 +543,16 @@ const X2: u32 = X0 << 2;
 const Y0: u32 = 0o007_007_007;
 const Y2: u32 = Y0 << 6;
 
-/// The voxels around `index`, without itself.
-fn neighbourhood(cells: &[u8], index: usize, strides: [usize; 3]) -> u32 {
+/// The voxels around `index` that are [`SET`], without itself.
+fn neighbourhood(state: &[u8], index: usize, strides: [usize; 3]) -> u32 {
     let mut bits = 0;
     let mut shift = 0;
     let low = index - strides[0] - strides[1] - strides[2];
     for k in 0..3 {
         for j in 0..3 {
-            let row = &cells[low + j * strides[1] + k * strides[2]..][..3];
-            bits |= (u32::from(row[0]) | u32::from(row[1]) << 1 | u32::from(row[2]) << 2) << shift;
+            let row = &state[low + j * strides[1] + k * strides[2]..][..3];
+            let [a, b, c] = [row[0], row[1], row[2]].map(|cell| u32::from(cell & SET));
+            bits |= (a | b << 1 | c << 2) << shift;
             shift += 3;
         }
     }

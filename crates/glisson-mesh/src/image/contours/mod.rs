@@ -23,6 +23,7 @@ pub mod level;
 pub mod edges;
 pub mod canny;
 pub mod deriche;
+mod crop;
 mod snake;
 mod follow;
 mod stack;
@@ -36,7 +37,7 @@ use self::level::{OrganLevel, is_inside, to_mm};
 use self::plane::Plane;
 use self::stack::stacked;
 use super::segment::guess_seed;
-use super::topology::{TopologyRepair, repair_to_ball};
+use super::topology::TopologyRepair;
 use super::{Volume, VoxelGrid, filter};
 use crate::math::{DVec2, DVec3};
 
@@ -116,18 +117,16 @@ pub fn segment_by_contours(
             found.polygons.iter().map(move |p| SliceContour { slice, points_m: p.clone() })
         })
         .collect();
-    if contours.is_empty() {
+    let is_given: Vec<bool> = (0..grid.dims[2]).map(|k| given.iter().any(|(slice, _)| *slice == k)).collect();
+    let drawn: Vec<bool> = slices.iter().flat_map(|found| found.mask.iter().copied()).collect();
+    let Some((mask, repair)) = stacked(grid, &drawn, &is_given, |v| level.is_soft(smooth[v]), params)? else {
         return Err(ContourError::NothingFound {
             seed_mm: to_mm(seeds_m[0]),
             low_hu: level.band_hu[0],
             high_hu: level.band_hu[1],
             least_area_mm2: params.least_area_m2 * 1e6,
         });
-    }
-    let is_given: Vec<bool> = (0..grid.dims[2]).map(|k| given.iter().any(|(slice, _)| *slice == k)).collect();
-    let drawn: Vec<bool> = slices.iter().flat_map(|found| found.mask.iter().copied()).collect();
-    let mut mask = stacked(grid, &drawn, &is_given, |v| level.is_soft(smooth[v]), params);
-    let repair = repair_to_ball(grid, &mut mask)?;
+    };
     let report = ContourReport {
         edge_thresholds_per_m,
         n_edges: edges.iter().map(|e| e.edges.len()).sum(),

@@ -74,7 +74,7 @@ impl Default for ContourParams {
             band_width: 3.0,
             band_limits_hu: [15.0, 25.0],
             point_distance_m: 1.5e-3,
-            edge_reach_m: 4e-3,
+            edge_reach_m: 6e-3,
             edge_strength: 0.5,
             balloon_step_m: 0.75e-3,
             elasticity: 0.2,

@@ -1,5 +1,6 @@
 //! Between contours and pixels: the pixels inside closed polygons, and the outlines of a set of pixels.
 
+use super::crop::Crop;
 use super::plane::Plane;
 use super::polygon::signed_area_m2;
 use crate::image::filter::{self, Connectivity};
@@ -51,8 +52,11 @@ pub fn rasterised<P: AsRef<[DVec2]>>(plane: &Plane, polygons: &[P]) -> Vec<bool>
 /// Outer outlines of the pieces of a mask whose pixels share edges, in the positive direction; holes are passed
 /// over. The corners lie halfway between a pixel inside and its neighbour outside.
 pub fn outlines(plane: &Plane, mask: &[bool]) -> Vec<Vec<DVec2>> {
-    let [n_i, n_j] = plane.dims;
-    let found = filter::components(&plane.grid(), mask, Connectivity::Faces);
+    let Some(crop) = Crop::around(&plane.grid(), mask, 0.0) else { return Vec::new() };
+    let [n_i, n_j, _] = crop.grid.dims;
+    let low = [crop.low()[0] as isize, crop.low()[1] as isize];
+    let mask = crop.cut(mask);
+    let found = filter::components(&crop.grid, &mask, Connectivity::Faces);
     let mut is_traced = vec![false; found.sizes.len()];
     let mut result = Vec::new();
     for first in 0..mask.len() {
@@ -62,11 +66,13 @@ pub fn outlines(plane: &Plane, mask: &[bool]) -> Vec<Vec<DVec2>> {
         }
         is_traced[piece as usize - 1] = true;
         let is_inside = |i: isize, j: isize| {
+            let (i, j) = (i - low[0], j - low[1]);
             (0..n_i as isize).contains(&i)
                 && (0..n_j as isize).contains(&j)
                 && found.piece[i as usize + n_i * j as usize] == piece
         };
-        result.push(outline(plane, [(first % n_i) as isize, (first / n_i) as isize], is_inside));
+        let corner = [(first % n_i) as isize + low[0], (first / n_i) as isize + low[1]];
+        result.push(outline(plane, corner, is_inside));
     }
     result
 }

@@ -31,15 +31,16 @@ use crate::math::DVec2;
 const POINTS_A_TASK: usize = 64;
 /// Of the difference to the organ's level at a border, the share that its blur may leave 3 mm inside. What lies
 /// beyond a thin wall of another tissue shows more.
-const INSIDE_SHARE: f32 = 0.3;
+const INSIDE_SHARE: f32 = 0.4;
 /// Steps between two looks for crossings and for rest.
 const STEPS_A_ROUND: usize = 8;
 /// Change of the number of pixels inside in a round below which the contours no longer travel.
 const TRAVEL_SHARE: f64 = 0.01;
-/// What the forces are multiplied by after a round without travel, so that points that swing over a border settle.
+/// What steps are shortened by after a round without travel, so that points that swing over a border settle. All
+/// forces are shortened alike: where they balance does not change.
 const DAMPING: f64 = 0.6;
-/// Forces of contours at rest, as a share of the first.
-const REST_FORCE: f64 = 0.1;
+/// Length of the steps of contours at rest, as a share of the first.
+const REST_STEP: f64 = 0.1;
 
 /// What contours are drawn to in a slice.
 #[derive(Clone, Copy, Debug)]
@@ -70,11 +71,12 @@ pub(super) fn settle(image: &SliceImage<'_>, start: Vec<Vec<DVec2>>, params: &Co
     let mut polygons = start;
     let mut mask = rasterised(image.plane, &polygons);
     let mut found = Settled::default();
-    let mut force = 1.0;
+    let mut length = 1.0;
     while found.n_steps < params.max_steps && !polygons.is_empty() {
         for _ in 0..STEPS_A_ROUND {
             for polygon in &mut polygons {
-                *polygon = moved(image, &resampled(polygon, params.point_distance_m), &kernel, force, params);
+                *polygon =
+                    moved(image, &resampled(polygon, params.point_distance_m), &kernel, length, params);
             }
         }
         found.n_steps += STEPS_A_ROUND;
@@ -87,9 +89,9 @@ pub(super) fn settle(image: &SliceImage<'_>, start: Vec<Vec<DVec2>>, params: &Co
         let n_inside = |mask: &[bool]| mask.iter().filter(|&&m| m).count();
         let (n_now, n_before) = (n_inside(&mask), n_inside(&before));
         if n_now.abs_diff(n_before) as f64 <= TRAVEL_SHARE * n_now as f64 {
-            force *= DAMPING;
+            length *= DAMPING;
         }
-        if force < REST_FORCE {
+        if length < REST_STEP {
             found.at_rest = true;
             break;
         }
@@ -107,12 +109,12 @@ fn holds_organ(image: &SliceImage<'_>, polygon: &[DVec2], params: &ContourParams
     area_m2 >= params.least_area_m2 && median(&mut values).is_some_and(|m| image.level.holds(m as f32))
 }
 
-/// The polygon after one step.
+/// The polygon after a share `length` of one step.
 fn moved(
     image: &SliceImage<'_>,
     points: &[DVec2],
     kernel: &[f64],
-    force: f64,
+    length: f64,
     params: &ContourParams,
 ) -> Vec<DVec2> {
     let n = points.len();
@@ -123,7 +125,7 @@ fn moved(
             let along = points[(p + 1) % n] - points[(p + n - 1) % n];
             // Polygons run in the positive direction: the outside is at the right hand.
             let outward = DVec2::new(along.y, -along.x).normalize_or_zero();
-            points[p] + outward * force * force_m(image, points[p], outward, params)
+            points[p] + outward * force_m(image, points[p], outward, params)
         })
         .collect();
     let last = DVec2::new((image.plane.dims[0] - 1) as f64, (image.plane.dims[1] - 1) as f64);
@@ -133,7 +135,7 @@ fn moved(
             for (offset, &weight) in kernel.iter().enumerate().skip(1) {
                 sum += weight * (pushed[(p + offset) % n] + pushed[(p + n * kernel.len() - offset) % n]);
             }
-            sum.clamp(DVec2::ZERO, last * image.plane.spacing_m)
+            points[p].lerp(sum, length).clamp(DVec2::ZERO, last * image.plane.spacing_m)
         })
         .collect()
 }
@@ -142,6 +144,7 @@ fn moved(
 fn force_m(image: &SliceImage<'_>, place_m: DVec2, outward: DVec2, params: &ContourParams) -> f64 {
     let level = image.level.level_hu as f32;
     let half_width = image.level.half_width_hu() as f32;
+    let half_contrast = (0.5 * (image.level.level_hu - image.level.fat_hu)) as f32;
     let distance_hu = |place_m: DVec2| (image.plane.sample(image.smooth, place_m) - level).abs();
     // The sides of a border are looked at beyond its blur.
     let aside_m = image.plane.spacing_m.max_element().max(3e-3);
@@ -153,7 +156,9 @@ fn force_m(image: &SliceImage<'_>, place_m: DVec2, outward: DVec2, params: &Cont
         let outside = distance_hu(edge.place_m + outward * aside_m);
         // At a border the image is halfway to the neighbour; on a ripple within the organ it is not.
         let at_edge = distance_hu(edge.place_m);
-        let is_organ = inside <= half_width.max(INSIDE_SHARE * at_edge);
+        // Against lung too the organ's side must look like the organ, not like the muscle between them.
+        let contrast = at_edge.min(half_contrast);
+        let is_organ = inside <= half_width.max(INSIDE_SHARE * contrast);
         is_organ && inside < at_edge && at_edge > 0.75 * half_width && outside > half_width
     };
     let reach_m = params.edge_reach_m;

@@ -21,6 +21,9 @@ const MAX_SWEEPS: usize = 4;
 /// Radius of the circle at a seed [m].
 const SEED_RADIUS_M: f64 = 6e-3;
 
+/// A slice with the polygons on it.
+pub(super) type SlicePolygons = (usize, Vec<Vec<DVec2>>);
+
 /// The contours of all slices while they are found.
 pub(super) struct Follower<'a> {
     pub(super) plane: Plane,
@@ -43,11 +46,7 @@ impl Follower<'_> {
     }
 
     /// Contours of all slices. `seeds` are slices with a place on them; `given` are slices with contours that stay.
-    pub(super) fn follow(
-        &self,
-        seeds: &[(usize, DVec2)],
-        given: &[(usize, Vec<Vec<DVec2>>)],
-    ) -> Vec<Settled> {
+    pub(super) fn follow(&self, seeds: &[(usize, DVec2)], given: &[SlicePolygons]) -> Vec<Settled> {
         let n_slices = self.edges.len();
         let empty = Settled { mask: vec![false; self.plane.n_pixels()], ..Settled::default() };
         let mut slices = vec![empty; n_slices];

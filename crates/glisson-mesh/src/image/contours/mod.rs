@@ -32,7 +32,7 @@ pub use self::error::ContourError;
 pub use self::params::{ContourParams, EdgeMethod};
 pub use self::polygon::SliceContour;
 
-use self::follow::Follower;
+use self::follow::{Follower, SlicePolygons};
 use self::level::{OrganLevel, is_inside, to_mm};
 use self::plane::Plane;
 use self::stack::stacked;
@@ -159,8 +159,8 @@ fn seed_in_slice(grid: &VoxelGrid, seed_m: DVec3) -> Result<(usize, DVec2), Cont
 fn checked_corrections(
     grid: &VoxelGrid,
     corrections: &[SliceContour],
-) -> Result<Vec<(usize, Vec<Vec<DVec2>>)>, ContourError> {
-    let mut slices: Vec<(usize, Vec<Vec<DVec2>>)> = Vec::new();
+) -> Result<Vec<SlicePolygons>, ContourError> {
+    let mut slices: Vec<SlicePolygons> = Vec::new();
     for SliceContour { slice, points_m } in corrections {
         let slice = *slice;
         if slice >= grid.dims[2] {

@@ -2,7 +2,7 @@
 //!
 //! Vectors are `glam`'s; the names are re-exported here so that one `use` serves.
 
-pub use glam::{DMat3, DQuat, DVec3};
+pub use glam::{DMat3, DQuat, DVec2, DVec3};
 
 /// Axis-aligned box in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,6 +3,7 @@
 pub mod files;
 pub mod labels;
 pub mod filter;
+pub mod contours;
 pub mod phantom;
 pub mod resample;
 pub mod segment;

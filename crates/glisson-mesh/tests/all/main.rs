@@ -1,5 +1,6 @@
 //! All integration tests of the crate in one binary: it links once.
 
+mod contours;
 #[cfg(feature = "dicom")]
 mod image_dicom;
 mod image_files;

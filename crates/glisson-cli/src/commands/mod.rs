@@ -4,6 +4,7 @@ mod image_input;
 mod output;
 mod phantom;
 mod import;
+mod slice_contours;
 mod segment;
 mod mesh;
 mod mesh_organs;

@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
+use glisson::image::contours::{ContourParams, segment_by_contours};
 use glisson::image::files::write_label_map;
 use glisson::image::labels::{Parts, check_clear_of_border, dice, hausdorff_95_m, mask_volume_m3};
 use glisson::image::segment::{
-    SeededParams, Seeds, SegmentError, SegmentParams, Segmentation, bare_band, segment, segment_with_seeds,
+    SeededParams, Seeds, SegmentParams, Segmentation, bare_band, segment, segment_with_seeds,
 };
 use glisson::image::{LabelMap, Volume, VoxelGrid};
 use glisson::math::DVec3;
@@ -14,6 +15,7 @@ use serde_json::json;
 
 use super::image_input::read_with_notes;
 use super::output::make_folder_of;
+use super::slice_contours;
 
 /// Find the liver, or the organ at a point, in a CT volume.
 ///
@@ -52,6 +54,13 @@ pub(crate) struct Args {
     /// A voxel in tissue that must not be taken; may be given again
     #[arg(long, value_name = "I,J,K", conflicts_with = "outside_mm")]
     outside_voxel: Vec<String>,
+    /// Contours drawn by hand, of `--method contours`: they replace what would be found in their slices, and the slices
+    /// beside them start from them (JSON, as `--contours-out` writes it)
+    #[arg(long, value_name = "FILE")]
+    corrections: Option<PathBuf>,
+    /// Write the contours found by `--method contours` (JSON)
+    #[arg(long, value_name = "FILE")]
+    contours_out: Option<PathBuf>,
     /// Name of the organ in the label map written
     #[arg(long, default_value = "liver")]
     name: String,
@@ -77,6 +86,8 @@ enum Method {
     Geodesic,
     /// The region around one seed, smoothed by opening and closing
     Region,
+    /// Deformable contours, slice by slice, which can be corrected by hand
+    Contours,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -92,7 +103,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     let progress = indicatif::ProgressBar::new_spinner().with_message("segmenting");
     progress.enable_steady_tick(std::time::Duration::from_millis(200));
-    let found = found(args.method, &ct, &seeds)?.with_context(|| args.ct.display().to_string())?;
+    let found = found(args, &ct, &seeds)?;
     progress.finish_and_clear();
 
     let labels = found.mask.iter().map(|&inside| u16::from(inside)).collect();
@@ -185,21 +196,54 @@ fn read_truth(args: &Args, path: &Path, ct: &Volume<f32>) -> anyhow::Result<Vec<
     Ok(map.mask(&organ))
 }
 
-/// What a method finds; the region takes one seed.
-fn found(
-    method: Method,
-    ct: &Volume<f32>,
-    seeds: &Seeds,
-) -> anyhow::Result<Result<Segmentation, SegmentError>> {
-    if method == Method::Geodesic {
-        return Ok(segment_with_seeds(ct, seeds, &SeededParams::default()));
-    }
+/// What the method asked for finds.
+fn found(args: &Args, ct: &Volume<f32>, seeds: &Seeds) -> anyhow::Result<Segmentation> {
+    let in_ct = || args.ct.display().to_string();
     ensure!(
-        seeds.inside_m.len() <= 1 && seeds.outside_m.is_empty(),
-        "--method region takes one seed: leave the method out to use several, and seeds outside the organ"
+        args.method == Method::Contours || (args.corrections.is_none() && args.contours_out.is_none()),
+        "--corrections and --contours-out are for --method contours"
     );
-    let seed_m = seeds.inside_m.first().copied();
-    Ok(segment(ct, &SegmentParams { seed_m, ..SegmentParams::default() }))
+    ensure!(
+        args.method == Method::Geodesic || seeds.outside_m.is_empty(),
+        "seeds outside the organ are for --method geodesic"
+    );
+    match args.method {
+        Method::Geodesic => segment_with_seeds(ct, seeds, &SeededParams::default()).with_context(in_ct),
+        Method::Region => {
+            ensure!(
+                seeds.inside_m.len() <= 1,
+                "--method region takes one seed, {} are given",
+                seeds.inside_m.len()
+            );
+            let seed_m = seeds.inside_m.first().copied();
+            segment(ct, &SegmentParams { seed_m, ..SegmentParams::default() }).with_context(in_ct)
+        }
+        Method::Contours => by_contours(args, ct, seeds).with_context(in_ct),
+    }
+}
+
+fn by_contours(args: &Args, ct: &Volume<f32>, seeds: &Seeds) -> anyhow::Result<Segmentation> {
+    let corrections = args.corrections.as_deref().map(slice_contours::read).transpose()?.unwrap_or_default();
+    let params = ContourParams { seeds_m: seeds.inside_m.clone(), corrections, ..ContourParams::default() };
+    let found = segment_by_contours(ct, &params)?;
+    let restless = &found.report.slices_not_at_rest;
+    if !restless.is_empty() {
+        eprintln!(
+            "note: contours did not come to rest in slices {restless:?}: look at them (--contours-out, --corrections)"
+        );
+    }
+    if let Some(path) = &args.contours_out {
+        slice_contours::write(path, &found.contours)?;
+        eprintln!("contours written to {}", path.display());
+    }
+    Ok(Segmentation {
+        mask: found.mask,
+        seed_m: found.seeds_m[0],
+        level_hu: found.level.level_hu,
+        noise_hu: found.level.noise_hu,
+        band_hu: found.level.band_hu,
+        repair: found.report.repair,
+    })
 }
 
 /// Points given in millimetres or as voxels, by the options of these names.

@@ -66,6 +66,13 @@ impl VoxelBox {
         });
     }
 
+    /// Place in the whole grid of a voxel of the box, given by its place in the box.
+    pub fn index_in(&self, grid: &VoxelGrid, index: usize) -> usize {
+        let [n_i, n_j, _] = self.dims;
+        let (row, i) = (index / n_i, index % n_i);
+        grid.index([self.first[0] + i, self.first[1] + row % n_j, self.first[2] + row / n_j])
+    }
+
     /// Calls `visit` with the place of the first voxel of each row of the box.
     fn for_each_row(&self, grid: &VoxelGrid, mut visit: impl FnMut(usize)) {
         for k in 0..self.dims[2] {

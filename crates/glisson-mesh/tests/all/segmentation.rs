@@ -1,7 +1,7 @@
 //! Finding organs by seeds inside and outside, with a geodesic active contour.
 
 use glisson_mesh::image::labels::{Parts, dice, hausdorff_95_m};
-use glisson_mesh::image::phantom::{Phantom, PhantomParams, Tissue, generate};
+use glisson_mesh::image::phantom::{Phantom, PhantomParams, generate};
 use glisson_mesh::image::resample::{VoxelBox, block_means, steps_for};
 use glisson_mesh::image::segment::{SeededParams, Seeds, SegmentError, segment_with_seeds};
 use glisson_mesh::image::topology::solid_euler_characteristic;

@@ -2,7 +2,7 @@
 //!
 //! - A voxel is an edge where the size of the gradient is largest among its two neighbours along the
 //!   gradient. These lie where the direction meets the next row of voxels, interpolated in it (Canny 1986, "A Computational
-//!   Approach to Edge Detection", s. VII, doi 10.1109/TPAMI.1986.4767851).
+//!   Approach to Edge Detection", doi 10.1109/TPAMI.1986.4767851).
 //! - The place between voxels is the top of the parabola through the logarithms of the three: exact where
 //!   the response to a step is a Gaussian.
 //! - An edge is kept when its gradient is above the higher threshold, or above the lower one and connected

@@ -5,7 +5,6 @@
 //! as long as a slice suggests to its neighbour a piece that the neighbour does not have: a lobe that hangs
 //! down beside the others is found on the way back.
 
-use super::crop::Crop;
 use super::edges::SliceEdges;
 use super::level::{OrganLevel, median};
 use super::params::ContourParams;
@@ -14,6 +13,7 @@ use super::raster::{outlines, rasterised};
 use super::snake::{Settled, SliceImage, settle};
 use crate::image::VoxelGrid;
 use crate::image::filter::{self, Connectivity};
+use crate::image::resample::VoxelBox;
 use crate::math::DVec2;
 
 /// Most sweeps up and down.
@@ -99,13 +99,16 @@ impl Follower<'_> {
     /// What slice `k` starts from: its own pixels and the pieces of the slice before that it does not have; `None`
     /// when there are no such pieces.
     fn suggested(&self, k: usize, before: &[bool], own: &[bool]) -> Option<Vec<bool>> {
-        let crop = Crop::around(&self.plane.grid(), before, self.params.shrink_m)?;
-        let smooth = crop.cut(self.image(k).smooth);
-        let shrunk = filter::erode(&crop.grid, &crop.cut(before), self.params.shrink_m);
-        let new: Vec<bool> = shrunk.iter().zip(crop.cut(own)).map(|(&s, o)| s && !o).collect();
+        let whole = self.plane.grid();
+        let margin_m = self.params.shrink_m + whole.spacing_m.max_element();
+        let part = VoxelBox::around(&whole, before, margin_m)?;
+        let near = part.grid(&whole);
+        let smooth = part.cut(&whole, self.image(k).smooth);
+        let shrunk = filter::erode(&near, &part.cut(&whole, before), self.params.shrink_m);
+        let new: Vec<bool> = shrunk.iter().zip(part.cut(&whole, own)).map(|(&s, o)| s && !o).collect();
         let mut start = own.to_vec();
         let mut is_new = false;
-        for piece in self.large_pieces(&crop.grid, &new) {
+        for piece in self.large_pieces(&near, &new) {
             let mut values: Vec<f32> = piece.iter().map(|&p| smooth[p]).collect();
             let is_organ = median(&mut values).is_some_and(|m| self.level.holds(m as f32));
             let taken = if is_organ {
@@ -114,11 +117,11 @@ impl Follower<'_> {
                 // Most of it is something else: the organ has parted there, or come to its end.
                 let mut organ = vec![false; new.len()];
                 piece.iter().filter(|&&p| self.level.holds(smooth[p])).for_each(|&p| organ[p] = true);
-                let organ = filter::open(&crop.grid, &organ, self.params.shrink_m);
-                self.large_pieces(&crop.grid, &organ).concat()
+                let organ = filter::open(&near, &organ, self.params.shrink_m);
+                self.large_pieces(&near, &organ).concat()
             };
             is_new |= !taken.is_empty();
-            taken.into_iter().for_each(|p| start[crop.full_index(p)] = true);
+            taken.into_iter().for_each(|p| start[part.index_in(&whole, p)] = true);
         }
         is_new.then_some(start)
     }

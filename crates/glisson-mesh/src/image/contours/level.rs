@@ -6,7 +6,7 @@
 //! - Contrast: the window from the level of fat to as far above the organ's level is stretched to -1 to 1,
 //!   linearly, and cut off at both ends. Air, lung, bone and metal lose their hold on the edges near
 //!   them. The stretching is linear because equalising the histogram moves the steepest place of a blurred
-//!   border towards the rarer tissue (Gonzalez and Woods, Digital Image Processing, 4th ed. 2018, s. 3.2-3.3).
+//!   border towards the rarer tissue (Gonzalez and Woods, Digital Image Processing, 4th ed. 2018).
 
 use rayon::prelude::*;
 

@@ -23,7 +23,6 @@ pub mod level;
 pub mod edges;
 pub mod canny;
 pub mod deriche;
-mod crop;
 mod snake;
 mod follow;
 mod stack;

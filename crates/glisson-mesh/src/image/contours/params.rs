@@ -11,7 +11,8 @@ pub enum EdgeMethod {
         /// Standard deviation of the Gaussian [m].
         sigma_m: f64,
     },
-    /// Deriche's recursive filter in the volume.
+    /// Deriche's recursive filter in the volume. In the first and last slice of the image it finds only edges that stand
+    /// upright: contours rest where the organ's band ends there.
     Deriche {
         /// Distance over which the kernels fall by exp(-1) [m].
         decay_length_m: f64,

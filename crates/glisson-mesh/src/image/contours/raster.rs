@@ -1,9 +1,9 @@
 //! Between contours and pixels: the pixels inside closed polygons, and the outlines of a set of pixels.
 
-use super::crop::Crop;
 use super::plane::Plane;
 use super::polygon::signed_area_m2;
 use crate::image::filter::{self, Connectivity};
+use crate::image::resample::VoxelBox;
 use crate::math::DVec2;
 
 /// For each pixel whether its centre is inside one of the polygons.
@@ -52,11 +52,13 @@ pub fn rasterised<P: AsRef<[DVec2]>>(plane: &Plane, polygons: &[P]) -> Vec<bool>
 /// Outer outlines of the pieces of a mask whose pixels share edges, in the positive direction; holes are passed
 /// over. The corners lie halfway between a pixel inside and its neighbour outside.
 pub fn outlines(plane: &Plane, mask: &[bool]) -> Vec<Vec<DVec2>> {
-    let Some(crop) = Crop::around(&plane.grid(), mask, 0.0) else { return Vec::new() };
-    let [n_i, n_j, _] = crop.grid.dims;
-    let low = [crop.low()[0] as isize, crop.low()[1] as isize];
-    let mask = crop.cut(mask);
-    let found = filter::components(&crop.grid, &mask, Connectivity::Faces);
+    let whole = plane.grid();
+    let Some(part) = VoxelBox::around(&whole, mask, whole.spacing_m.max_element()) else { return Vec::new() };
+    let near = part.grid(&whole);
+    let [n_i, n_j, _] = near.dims;
+    let low = [part.first[0] as isize, part.first[1] as isize];
+    let mask = part.cut(&whole, mask);
+    let found = filter::components(&near, &mask, Connectivity::Faces);
     let mut is_traced = vec![false; found.sizes.len()];
     let mut result = Vec::new();
     for first in 0..mask.len() {

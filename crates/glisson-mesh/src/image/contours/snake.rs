@@ -5,7 +5,7 @@
 //! x' = (1 - a L + b L L)^-1 (x + f),
 //!
 //! a the elasticity, b the bending stiffness, both for one step (Kass, Witkin and Terzopoulos 1988, "Snakes: Active Contour
-//! Models", doi 10.1007/BF00133570, eqs. 17-18, with the step taken in). As the points are evenly spaced,
+//! Models", doi 10.1007/BF00133570, with the step taken in). As the points are evenly spaced,
 //! the matrix is circulant, and its inverse is a convolution around the polygon: it is taken exactly.
 //!
 //! The force f along the outward normal is the one of

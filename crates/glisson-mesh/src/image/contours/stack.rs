@@ -1,9 +1,9 @@
 //! From binary slices to a binary volume that is smooth between slices too.
 
-use super::crop::Crop;
 use super::params::ContourParams;
 use crate::image::VoxelGrid;
 use crate::image::filter::{self, Connectivity};
+use crate::image::resample::VoxelBox;
 use crate::image::topology::{TopologyError, TopologyRepair, repair_to_ball};
 
 /// The stack of slices `drawn` after closing (which adds only what `is_soft`), opening and closing by a small
@@ -17,24 +17,27 @@ pub(super) fn stacked(
     params: &ContourParams,
 ) -> Result<Option<(Vec<bool>, TopologyRepair)>, TopologyError> {
     let margin_m = 2.0 * params.close_radius_m.max(params.smooth_radius_m);
-    let Some(crop) = Crop::around(grid, drawn, margin_m) else { return Ok(None) };
-    let drawn = crop.cut(drawn);
-    let is_soft: Vec<bool> = (0..drawn.len()).map(|v| is_soft(crop.full_index(v))).collect();
-    let closed = filter::close(&crop.grid, &drawn, params.close_radius_m);
+    let Some(part) = VoxelBox::around(grid, drawn, margin_m) else { return Ok(None) };
+    let near = part.grid(grid);
+    let drawn = part.cut(grid, drawn);
+    let is_soft: Vec<bool> = (0..drawn.len()).map(|v| is_soft(part.index_in(grid, v))).collect();
+    let closed = filter::close(&near, &drawn, params.close_radius_m);
     let mut mask: Vec<bool> = (0..drawn.len()).map(|v| drawn[v] || (closed[v] && is_soft[v])).collect();
-    filter::fill_cavities(&crop.grid, &mut mask);
-    let opened = filter::open(&crop.grid, &mask, params.smooth_radius_m);
-    let smooth = filter::close(&crop.grid, &opened, params.smooth_radius_m);
+    filter::fill_cavities(&near, &mut mask);
+    let opened = filter::open(&near, &mask, params.smooth_radius_m);
+    let smooth = filter::close(&near, &opened, params.smooth_radius_m);
     let mut mask: Vec<bool> = (0..mask.len()).map(|v| smooth[v] && (mask[v] || is_soft[v])).collect();
-    let n_slice = crop.grid.dims[0] * crop.grid.dims[1];
-    for k in (0..crop.grid.dims[2]).filter(|&k| is_given[k + crop.low()[2]]) {
+    let n_slice = near.dims[0] * near.dims[1];
+    for k in (0..near.dims[2]).filter(|&k| is_given[k + part.first[2]]) {
         mask[k * n_slice..][..n_slice].copy_from_slice(&drawn[k * n_slice..][..n_slice]);
     }
-    filter::fill_cavities(&crop.grid, &mut mask);
-    let mut mask = filter::largest_piece(&crop.grid, &mask, Connectivity::Faces);
+    filter::fill_cavities(&near, &mut mask);
+    let mut mask = filter::largest_piece(&near, &mask, Connectivity::Faces);
     if !mask.contains(&true) {
         return Ok(None);
     }
-    let repair = repair_to_ball(&crop.grid, &mut mask)?;
-    Ok(Some((crop.paste(&mask), repair)))
+    let repair = repair_to_ball(&near, &mut mask)?;
+    let mut whole = vec![false; grid.n_voxels()];
+    part.paste(grid, &mask, &mut whole);
+    Ok(Some((whole, repair)))
 }

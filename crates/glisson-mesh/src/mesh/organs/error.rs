@@ -27,12 +27,12 @@ pub enum OrganMeshError {
         available: Vec<u16>,
     },
     /// An organ is cut off by the end of the image.
-    #[error("label {label}: {source}")]
+    #[error("label {label}: {cut_off}")]
     Border {
         /// Which label.
         label: u16,
         /// Where it touches the border.
-        source: LabelError,
+        cut_off: LabelError,
     },
     /// A size that is no size.
     #[error("{what} is {found}: {allowed} is allowed")]

@@ -68,7 +68,8 @@ impl RegionGrid {
         }
         if let Some(label) = at_border {
             let mask: Vec<bool> = map.labels.iter().map(|&l| l == label).collect();
-            check_clear_of_border(grid, &mask).map_err(|source| OrganMeshError::Border { label, source })?;
+            check_clear_of_border(grid, &mask)
+                .map_err(|cut_off| OrganMeshError::Border { label, cut_off })?;
         }
         let dims = [0, 1, 2].map(|axis| high[axis] - low[axis] + 1);
         let mut of_voxels = Vec::with_capacity(dims.iter().product());

@@ -20,6 +20,9 @@ const THICKNESS_M: f64 = 0.015;
 const LARGEST_REPAIR: f64 = 0.3;
 /// Edge of the rigid bodies' triangles [mm]: a choice, about that of the liver's.
 const EDGE_MM: f64 = 9.0;
+/// How far surfaces may be apart or in each other where they touch in the image [mm]: half an edge and a little, as the liver's
+/// and the bed's triangles fit each other no better where the liver is hollow (4.2 mm with 6,300 tetrahedra).
+const TOUCH_MM: f64 = 5.0;
 /// What else is shown, with its colour.
 const NEIGHBOURS: [(&str, &str); 3] =
     [("kidney_right", "#8a4a3c"), ("spine", "#d8d0bc"), ("stomach", "#c99a86")];
@@ -85,7 +88,7 @@ pub fn write_liver_on_bed(folder: &Path, n_tets: usize) -> anyhow::Result<PathBu
          [[organ]]\nname = \"liver\"\nmesh = \"liver.vtu\"\ntissue = \"liver\"\nmodel = \"implicit\"\nlaw = \"stable_neo_hooke\"\n\
          damping = \"20 1/s\"\n\n\
          [[rigid]]\nname = \"bed\"\ncolor = \"#b98d77\"\nmesh = \"bed.stl\"\nedge = \"{EDGE_MM} mm\"\n\n{rigid}\
-         [contact]\nmargin = \"5 mm\"\ntouch = \"3 mm\"\n\n\
+         [contact]\nmargin = \"5 mm\"\ntouch = \"{TOUCH_MM} mm\"\n\n\
          [tool]\nname = \"palpation probe\"\ntip_radius = \"6 mm\"\nfriction = 0.1\n\
          home_tip = [\"{x:.3} mm\", \"{y:.3} mm\", \"{z:.3} mm\"]\nhome_shaft = [-0.2, -1, 0.3]\n"
     );

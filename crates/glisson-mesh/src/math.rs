@@ -27,6 +27,11 @@ impl Aabb {
         Self { min_m: self.min_m.min(point_m), max_m: self.max_m.max(point_m) }
     }
 
+    /// The smallest box that holds both.
+    pub fn joined(self, other: &Self) -> Self {
+        self.including(other.min_m).including(other.max_m)
+    }
+
     /// This box grown by `margin_m` on every side.
     pub fn grown(self, margin_m: f64) -> Self {
         Self { min_m: self.min_m - DVec3::splat(margin_m), max_m: self.max_m + DVec3::splat(margin_m) }

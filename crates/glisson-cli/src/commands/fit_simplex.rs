@@ -10,7 +10,7 @@ use glisson::surface::simplex::fit::{
 };
 use glisson::units::LengthUnit;
 
-use super::image_input::{LabelChoice, is_image, label_mask};
+use super::image_input::{LabelChoice, is_image, label_mask, warn_of_unit};
 use super::output::{check_extension, make_folder_of};
 
 /// Fit a smooth surface with few triangles to an organ: a simplex mesh and its dual triangulation.
@@ -97,8 +97,10 @@ fn fitted(
         "{} is no label map: --series, --label, --without-parts and --cut-at-border are for label maps",
         args.input.display()
     );
-    let surface = import_closed_surface_with(&args.input, args.unit)?.mesh;
-    fit_simplex_to_surface(&surface, 1e-3 * args.resolution_mm, params, progress).with_context(in_input)
+    let imported = import_closed_surface_with(&args.input, args.unit)?;
+    imported.notes.iter().for_each(|note| eprintln!("note: {}: {note}", args.input.display()));
+    warn_of_unit(&args.input, imported.topology.volume_m3, args.unit);
+    fit_simplex_to_surface(&imported.mesh, 1e-3 * args.resolution_mm, params, progress).with_context(in_input)
 }
 
 fn print_report(report: &SimplexFitReport, output: &Path) {
@@ -107,7 +109,7 @@ fn print_report(report: &SimplexFitReport, output: &Path) {
         report.n_triangles, report.n_triangles_extracted, report.n_cells
     );
     let mm = |m: f64| 1e3 * m;
-    for (name, far) in [("from data", &report.to_data), ("to data", &report.from_data)] {
+    for (name, far) in [("to data", &report.to_data), ("from data", &report.from_data)] {
         println!(
             "{name:12} {:.3} mm mean, {:.3} mm for 95 %, {:.2} mm at most",
             mm(far.mean_m),

@@ -60,11 +60,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         .with_context(in_input)?;
     labels.sort_unstable();
     labels.dedup();
-    ensure!(
-        args.label.is_empty() || labels.len() == args.label.len(),
-        "the same label is given twice: {}",
-        args.label.join(", ")
-    );
+    ensure!(labels.len() == args.label.len(), "the same label is given twice: {}", args.label.join(", "));
     let size = match args.cell_mm {
         Some(cell_mm) => OrganSize::CellM(1e-3 * cell_mm),
         None => OrganSize::Tetrahedra(args.tetrahedra.unwrap_or(DEFAULT_TETRAHEDRA)),
@@ -129,7 +125,7 @@ fn print_report(args: &Args, map: &LabelMap, organs: &OrganMesh) {
         );
     }
     for [a, b] in organs.neighbours().into_iter().filter(|pair| pair[0] != 0) {
-        let n = organs.interface(a, b).surface.triangles.len();
+        let n = organs.n_faces_between(a, b);
         println!("interface    {} and {}: {n} triangles", name_of(map, a), name_of(map, b));
     }
     println!("dihedral     {:.2} to {:.2} degrees", report.min_dihedral_deg, report.max_dihedral_deg);

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
-use glisson::image::contours::{ContourParams, segment_by_contours};
+use glisson::image::contours::{ContourParams, SliceContour, segment_by_contours};
 use glisson::image::files::write_label_map;
 use glisson::image::labels::{Parts, check_clear_of_border, dice, hausdorff_95_m, mask_volume_m3};
 use glisson::image::segment::{
@@ -91,6 +91,8 @@ enum Method {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    check_options(args)?;
+    let corrections = args.corrections.as_deref().map(slice_contours::read).transpose()?.unwrap_or_default();
     let ct = read_with_notes(&args.ct, args.series)?.volume();
     let truth = args.truth.as_deref().map(|path| read_truth(args, path, &ct)).transpose()?;
     let seeds = Seeds {
@@ -103,7 +105,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     };
     let progress = indicatif::ProgressBar::new_spinner().with_message("segmenting");
     progress.enable_steady_tick(std::time::Duration::from_millis(200));
-    let found = found(args, &ct, &seeds)?;
+    let found = found(args, &ct, &seeds, corrections).with_context(|| args.ct.display().to_string())?;
     progress.finish_and_clear();
 
     let labels = found.mask.iter().map(|&inside| u16::from(inside)).collect();
@@ -196,34 +198,47 @@ fn read_truth(args: &Args, path: &Path, ct: &Volume<f32>) -> anyhow::Result<Vec<
     Ok(map.mask(&organ))
 }
 
-/// What the method asked for finds.
-fn found(args: &Args, ct: &Volume<f32>, seeds: &Seeds) -> anyhow::Result<Segmentation> {
-    let in_ct = || args.ct.display().to_string();
+/// Refuses options that the method does not take.
+fn check_options(args: &Args) -> anyhow::Result<()> {
+    let n_seeds = args.seed_mm.len() + args.seed_voxel.len();
     ensure!(
         args.method == Method::Contours || (args.corrections.is_none() && args.contours_out.is_none()),
         "--corrections and --contours-out are for --method contours"
     );
     ensure!(
-        args.method == Method::Geodesic || seeds.outside_m.is_empty(),
+        args.method == Method::Geodesic || (args.outside_mm.is_empty() && args.outside_voxel.is_empty()),
         "seeds outside the organ are for --method geodesic"
     );
+    ensure!(
+        args.method != Method::Region || n_seeds <= 1,
+        "--method region takes one seed, {n_seeds} are given"
+    );
+    Ok(())
+}
+
+/// What the method asked for finds.
+fn found(
+    args: &Args,
+    ct: &Volume<f32>,
+    seeds: &Seeds,
+    corrections: Vec<SliceContour>,
+) -> anyhow::Result<Segmentation> {
     match args.method {
-        Method::Geodesic => segment_with_seeds(ct, seeds, &SeededParams::default()).with_context(in_ct),
+        Method::Geodesic => Ok(segment_with_seeds(ct, seeds, &SeededParams::default())?),
         Method::Region => {
-            ensure!(
-                seeds.inside_m.len() <= 1,
-                "--method region takes one seed, {} are given",
-                seeds.inside_m.len()
-            );
             let seed_m = seeds.inside_m.first().copied();
-            segment(ct, &SegmentParams { seed_m, ..SegmentParams::default() }).with_context(in_ct)
+            Ok(segment(ct, &SegmentParams { seed_m, ..SegmentParams::default() })?)
         }
-        Method::Contours => by_contours(args, ct, seeds).with_context(in_ct),
+        Method::Contours => by_contours(args, ct, seeds, corrections),
     }
 }
 
-fn by_contours(args: &Args, ct: &Volume<f32>, seeds: &Seeds) -> anyhow::Result<Segmentation> {
-    let corrections = args.corrections.as_deref().map(slice_contours::read).transpose()?.unwrap_or_default();
+fn by_contours(
+    args: &Args,
+    ct: &Volume<f32>,
+    seeds: &Seeds,
+    corrections: Vec<SliceContour>,
+) -> anyhow::Result<Segmentation> {
     let params = ContourParams { seeds_m: seeds.inside_m.clone(), corrections, ..ContourParams::default() };
     let found = segment_by_contours(ct, &params)?;
     let restless = &found.report.slices_not_at_rest;

@@ -15,6 +15,21 @@ pub struct VoxelBox {
 }
 
 impl VoxelBox {
+    /// All of a grid.
+    pub fn whole(grid: &VoxelGrid) -> Self {
+        Self { first: [0; 3], dims: grid.dims }
+    }
+
+    /// The voxels around a ball, at least one layer more than it reaches and as far as the grid goes. The ball's centre
+    /// lies on the grid.
+    pub fn around_ball(grid: &VoxelGrid, center_m: DVec3, radius_m: f64) -> Self {
+        let center = grid.voxel_at(center_m);
+        let reach = [0, 1, 2].map(|a| radius_m / grid.spacing_m[a] + 1.0);
+        let first = [0, 1, 2].map(|a| (center[a] - reach[a]).max(0.0) as usize);
+        let end = [0, 1, 2].map(|a| grid.dims[a].min((center[a] + reach[a]).ceil() as usize + 1));
+        Self { first, dims: [0, 1, 2].map(|a| end[a] - first[a]) }
+    }
+
     /// The smallest box around the voxels of `mask`, grown by `margin_m` [m] as far as the grid goes; `None`
     /// for an empty mask.
     pub fn around(grid: &VoxelGrid, mask: &[bool], margin_m: f64) -> Option<Self> {

@@ -24,7 +24,7 @@ mod propagation;
 
 use self::enclosure::enclosing_ball;
 pub(crate) use self::propagation::well_composed_blocks;
-use self::propagation::{Crop, Direction, Pieces, chamfer_distances, propagate};
+use self::propagation::{Crop, Direction, Pieces, chamfer_distances, euler_contributions, propagate};
 use super::VoxelGrid;
 
 /// What [`repair_to_ball`] did.
@@ -144,8 +144,9 @@ pub fn repair_to_ball(grid: &VoxelGrid, mask: &mut [bool]) -> Result<TopologyRep
         let filled = shrunk_enclosure(&given);
         let mut best = Candidate { cost: cost(&given, &filled), n_left: 0, result: filled.clone() };
         if best.cost as f64 > CHEAP_SHARE * given.count() as f64 {
+            let added = Pieces::of(&additions(&given, &filled), 1, true);
             for limit in MEMBRANE_LIMITS {
-                let Some(mut partly) = without_large_additions(&given, &filled, limit) else { continue };
+                let Some(mut partly) = with_small_additions(&given, &added, limit) else { continue };
                 partly.fill_cavities();
                 let result = grown_from_deepest(&partly);
                 let cost = cost(&given, &result);
@@ -205,10 +206,8 @@ fn grown_from_deepest(given: &Crop) -> Crop {
     ball
 }
 
-/// `given` with those connected additions of `filled` that have at most `limit` voxels; none when that is
-/// all of them.
-fn without_large_additions(given: &Crop, filled: &Crop, limit: usize) -> Option<Crop> {
-    let added = Pieces::of(&additions(given, filled), 1, true);
+/// `given` with those of the pieces `added` that have at most `limit` voxels; none when that is all of them.
+fn with_small_additions(given: &Crop, added: &Pieces, limit: usize) -> Option<Crop> {
     let is_small = |piece: u32| added.sizes[piece as usize] <= limit;
     if added.sizes.iter().all(|&size| size <= limit) {
         return None;
@@ -226,10 +225,11 @@ fn plug_tunnels(given: &Crop, ball: &mut Crop) {
     let added = Pieces::of(&additions(given, ball), 1, true);
     // Taking a membrane out again opens its tunnels: the Euler characteristic falls.
     let mut opened = ball.clone();
+    let contributions = euler_contributions();
     let mut change_of_piece = vec![0i64; added.sizes.len()];
     for run in &added.runs {
         for index in run.places() {
-            change_of_piece[run.piece as usize] += opened.clear_and_count_euler(index);
+            change_of_piece[run.piece as usize] += opened.clear_and_count_euler(index, &contributions);
         }
     }
     let mut membranes: Vec<Vec<usize>> = vec![Vec::new(); added.sizes.len()];

@@ -60,14 +60,13 @@ impl BoxTree {
         for &t in moved {
             self.boxes[t as usize] = Aabb::of_points(&mesh.corners_m(t as usize));
         }
-        let around = |a: Aabb, b: &Aabb| a.including(b.min_m).including(b.max_m);
         for at in (0..self.nodes.len()).rev() {
             let node = &self.nodes[at];
             let bounds = match node.children {
-                Some([l, r]) => around(self.nodes[l as usize].bounds, &self.nodes[r as usize].bounds),
+                Some([l, r]) => self.nodes[l as usize].bounds.joined(&self.nodes[r as usize].bounds),
                 None => {
                     let own = &self.order[node.first as usize..node.end as usize];
-                    own.iter().fold(Aabb::EMPTY, |bounds, &t| around(bounds, &self.boxes[t as usize]))
+                    own.iter().fold(Aabb::EMPTY, |bounds, &t| bounds.joined(&self.boxes[t as usize]))
                 }
             };
             self.nodes[at].bounds = bounds;
@@ -143,10 +142,9 @@ fn squared_distance(bounds: &Aabb, point_m: DVec3) -> f64 {
 fn split(boxes: &[Aabb], order: &mut [(DVec3, u32)], first: usize, nodes: &mut Vec<BoxNode>) -> u32 {
     let id = nodes.len();
     let end = first + order.len();
-    let around = |a: Aabb, b: &Aabb| a.including(b.min_m).including(b.max_m);
     nodes.push(BoxNode { bounds: Aabb::EMPTY, first: first as u32, end: end as u32, children: None });
     if order.len() <= LEAF_SIZE {
-        nodes[id].bounds = order.iter().fold(Aabb::EMPTY, |sum, &(_, t)| around(sum, &boxes[t as usize]));
+        nodes[id].bounds = order.iter().fold(Aabb::EMPTY, |sum, &(_, t)| sum.joined(&boxes[t as usize]));
     } else {
         let size = order.iter().fold(Aabb::EMPTY, |sum, &(centre, _)| sum.including(centre)).size_m();
         let axis = (0..3).max_by(|&a, &b| size[a].total_cmp(&size[b])).expect("three axes");
@@ -166,7 +164,7 @@ fn split(boxes: &[Aabb], order: &mut [(DVec3, u32)], first: usize, nodes: &mut V
             [left, split(boxes, right, first + middle, nodes)]
         };
         let [l, r] = children.map(|child| nodes[child as usize].bounds);
-        nodes[id].bounds = around(l, &r);
+        nodes[id].bounds = l.joined(&r);
         nodes[id].children = Some(children);
     }
     id as u32

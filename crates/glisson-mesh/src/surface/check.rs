@@ -143,7 +143,11 @@ pub(super) fn sorted_sides(mesh: &TriMesh) -> Vec<Side> {
 
 /// The two sides of an edge when exactly two triangles meet there with the same orientation. `n_open` counts the open
 /// edges of the mesh.
-fn check_edge(mesh: &TriMesh, edge: &[Side], n_open: impl Fn() -> usize) -> Result<[Side; 2], SurfaceError> {
+pub(super) fn check_edge(
+    mesh: &TriMesh,
+    edge: &[Side],
+    n_open: impl Fn() -> usize,
+) -> Result<[Side; 2], SurfaceError> {
     let first = edge[0];
     let vertices = [first.low, first.high];
     let place = Place(0.5 * vertices.map(|v| mesh.positions_m[v as usize]).into_iter().sum::<DVec3>());

@@ -22,6 +22,7 @@ use super::error::{Place, SurfaceError};
 use super::intersect::{Crossings, self_intersections};
 use super::smooth::{EdgeGraph, offset_to_volume};
 use crate::image::VoxelGrid;
+use crate::image::resample::VoxelBox;
 use crate::image::topology::{TopologyRepair, repair_to_ball};
 use crate::math::DVec3;
 
@@ -107,6 +108,15 @@ pub fn surface_of_mask(
     mask: &[bool],
     params: &SurfaceParams,
 ) -> Result<(TriMesh, SurfaceReport), SurfaceError> {
+    surface_and_solid(grid, mask, params).map(|(surface, report, _)| (surface, report))
+}
+
+/// As [`surface_of_mask`], with the repaired mask.
+pub(super) fn surface_and_solid(
+    grid: &VoxelGrid,
+    mask: &[bool],
+    params: &SurfaceParams,
+) -> Result<(TriMesh, SurfaceReport, Vec<bool>), SurfaceError> {
     check_parameters(grid, params)?;
     let mut solid = mask.to_vec();
     let repair = repair_to_ball(grid, &mut solid)?;
@@ -138,7 +148,7 @@ pub fn surface_of_mask(
         n_untangled_vertices: smoothed.n_untangled,
         smoothing_share: smoothed.smoothing_share,
     };
-    Ok((surface, report))
+    Ok((surface, report, solid))
 }
 
 fn check_parameters(grid: &VoxelGrid, params: &SurfaceParams) -> Result<(), SurfaceError> {
@@ -210,34 +220,19 @@ struct Net {
 }
 
 fn extract(grid: &VoxelGrid, solid: &[bool]) -> Net {
-    let (mut low, mut high) = ([usize::MAX; 3], [0; 3]);
-    for (row, voxels) in solid.chunks_exact(grid.dims[0]).enumerate() {
-        let Some(first) = voxels.iter().position(|&v| v) else { continue };
-        let last = voxels.iter().rposition(|&v| v).expect("a row with a first voxel has a last");
-        let [j, k] = [row % grid.dims[1], row / grid.dims[1]];
-        for (axis, [from, to]) in [[first, last], [j, j], [k, k]].into_iter().enumerate() {
-            low[axis] = low[axis].min(from);
-            high[axis] = high[axis].max(to);
-        }
-    }
+    let part = VoxelBox::around(grid, solid, 0.0).expect("repair refuses an empty mask");
     // Two layers outside on each side: surface nets make no faces in the last one.
-    let dims = [0, 1, 2].map(|a| high[a] - low[a] + 5);
+    let dims = part.dims.map(|n| n + 4);
     let shape = RuntimeShape::<u32, 3>::new(dims.map(|d| u32::try_from(d).expect("repair bounds the box")));
     let mut field = vec![1f32; dims.iter().product()];
-    for k in low[2]..=high[2] {
-        for j in low[1]..=high[1] {
-            let to = 2 + dims[0] * ((j + 2 - low[1]) + dims[1] * (k + 2 - low[2]));
-            let from = grid.index([low[0], j, k]);
-            for i in 0..=high[0] - low[0] {
-                if solid[from + i] {
-                    field[to + i] = -1.0;
-                }
-            }
-        }
+    for (row, voxels) in part.cut(grid, solid).chunks_exact(part.dims[0]).enumerate() {
+        let (j, k) = (row % part.dims[1], row / part.dims[1]);
+        let to = &mut field[2 + dims[0] * ((j + 2) + dims[1] * (k + 2))..];
+        to.iter_mut().zip(voxels).filter(|(_, solid)| **solid).for_each(|(value, _)| *value = -1.0);
     }
     let mut buffer = SurfaceNetsBuffer::default();
     surface_nets(&field, &shape, [0; 3], dims.map(|d| d as u32 - 1), &mut buffer);
-    let origin = DVec3::new(low[0] as f64, low[1] as f64, low[2] as f64) - 2.0;
+    let origin = DVec3::from_array(part.first.map(|v| v as f64)) - 2.0;
     let at = |p: [f32; 3]| origin + DVec3::from_array(p.map(f64::from));
     Net {
         voxels: buffer.positions.iter().map(|&p| at(p)).collect(),

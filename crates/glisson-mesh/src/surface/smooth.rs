@@ -17,6 +17,8 @@
 //! one product with L and no scalar product; conjugate gradients take as many steps of two products and more.
 //! Rows are computed in parallel, each by one thread in a fixed order: the same bits at any number of threads.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::TriMesh;
@@ -127,12 +129,17 @@ impl EdgeGraph {
 
     /// Vertices next to `vertex`, ascending.
     pub(super) fn neighbours(&self, vertex: usize) -> &[u32] {
-        &self.neighbour[self.start[vertex] as usize..self.start[vertex + 1] as usize]
+        &self.neighbour[self.range(vertex)]
+    }
+
+    /// Where the neighbours of `vertex` stand.
+    fn range(&self, vertex: usize) -> Range<usize> {
+        self.start[vertex] as usize..self.start[vertex + 1] as usize
     }
 
     /// Neighbours of `vertex` and the weights of their edges.
     fn row(&self, vertex: usize) -> impl Iterator<Item = (usize, f64)> {
-        let row = self.start[vertex] as usize..self.start[vertex + 1] as usize;
+        let row = self.range(vertex);
         self.neighbour[row.clone()].iter().zip(&self.weight[row]).map(|(&n, &w)| (n as usize, w))
     }
 
@@ -173,7 +180,7 @@ impl EdgeGraph {
         let own: Vec<f64> = self.diagonal.iter().map(|d| scale * d - 2.0).collect();
         let weight: Vec<f64> = self.weight.iter().map(|w| scale * w).collect();
         let doubled_z = |x: &[DVec3], v: usize| {
-            let row = self.start[v] as usize..self.start[v + 1] as usize;
+            let row = self.range(v);
             let terms = self.neighbour[row.clone()].iter().zip(&weight[row]);
             terms.fold(own[v] * x[v], |sum, (&n, &w)| sum - w * x[n as usize])
         };

@@ -11,8 +11,9 @@ use glisson_mesh::image::contours::{
     ContourError, ContourParams, ContourSegmentation, EdgeMethod, SliceContour, segment_by_contours,
 };
 use glisson_mesh::image::filter::{self, Connectivity};
-use glisson_mesh::image::labels::{Parts, dice};
+use glisson_mesh::image::labels::{Parts, dice, hausdorff_95_m};
 use glisson_mesh::image::phantom::{Phantom, PhantomParams, generate};
+use glisson_mesh::image::segment::SegmentError;
 use glisson_mesh::image::topology::solid_euler_characteristic;
 use glisson_mesh::image::{Volume, VoxelGrid};
 use glisson_mesh::math::{DVec2, DVec3, SeededRandom};
@@ -472,21 +473,6 @@ fn coarse(seed: u64, noise_hu: f64) -> Phantom {
     generate(&PhantomParams { seed, voxel_m: 3e-3, noise_hu, ..PhantomParams::default() })
 }
 
-/// The distance that 95 % of the surface voxels of both masks keep to the other's surface [m] (95 % Hausdorff).
-fn hausdorff_95_m(grid: &VoxelGrid, a: &[bool], b: &[bool]) -> f64 {
-    let surface = |mask: &[bool]| -> Vec<bool> {
-        let inner = filter::erode(grid, mask, grid.spacing_m.x);
-        mask.iter().zip(&inner).map(|(m, i)| *m && !*i).collect()
-    };
-    let surfaces = [surface(a), surface(b)];
-    let distances = [&surfaces[1], &surfaces[0]].map(|s| filter::distance_squared_m2(grid, s));
-    let mut pooled: Vec<f32> = (0..2)
-        .flat_map(|s| (0..a.len()).filter(|&v| surfaces[s][v]).map(|v| distances[s][v]).collect::<Vec<_>>())
-        .collect();
-    pooled.sort_by(f32::total_cmp);
-    f64::from(pooled[pooled.len() * 95 / 100]).sqrt()
-}
-
 #[test]
 fn the_liver_is_found_by_contours() {
     let canny = EdgeMethod::Canny { sigma_m: 1e-3 };
@@ -499,7 +485,7 @@ fn the_liver_is_found_by_contours() {
             segment_by_contours(&patient.ct, &ContourParams { edges, ..ContourParams::default() }).unwrap();
         let overlap = dice(&found.mask, &truth);
         assert!(overlap >= 0.96, "seed {seed}, noise {noise_hu}: Dice {overlap}");
-        let far_m = hausdorff_95_m(grid, &found.mask, &truth);
+        let far_m = hausdorff_95_m(grid, &found.mask, &truth).unwrap();
         assert!(far_m <= 6.001e-3, "seed {seed}, noise {noise_hu}: 95 % within {far_m} m");
         assert_eq!(solid_euler_characteristic(grid, &found.mask), Ok(1));
         assert!((found.level.level_hu - 110.0).abs() < 8.0, "{:?}", found.level);
@@ -527,12 +513,12 @@ fn contours_refuse_seeds_in_the_wrong_place() {
         let seeds_m = vec![DVec3::new(x, y, z) * 1e-3];
         segment_by_contours(&patient.ct, &ContourParams { seeds_m, ..ContourParams::default() }).unwrap_err()
     };
-    assert!(matches!(at(-900.0, 0.0, 0.0), ContourError::SeedOutside { .. }));
-    assert!(matches!(at(f64::NAN, 0.0, 0.0), ContourError::SeedOutside { .. }));
-    assert!(matches!(at(-188.0, -105.0, 0.0), ContourError::SeedNotSoftTissue { .. }));
+    assert!(matches!(at(-900.0, 0.0, 0.0), ContourError::Seed(SegmentError::SeedOutside { .. })));
+    assert!(matches!(at(f64::NAN, 0.0, 0.0), ContourError::Seed(SegmentError::SeedOutside { .. })));
+    assert!(matches!(at(-188.0, -105.0, 0.0), ContourError::Seed(SegmentError::SeedNotSoftTissue { .. })));
     let air = Volume { values: vec![-1000.0; patient.ct.grid.n_voxels()], grid: patient.ct.grid.clone() };
     let error = segment_by_contours(&air, &ContourParams::default()).unwrap_err();
-    assert!(matches!(error, ContourError::NoSeed { .. }), "{error}");
+    assert!(matches!(error, ContourError::Seed(SegmentError::NoSeed { .. })), "{error}");
     // A speck of tissue holds no contour.
     let grid = plain_grid([30, 30, 5], [1.5; 3]);
     let speck = organ(&grid, 0.0, |p| 3e-3 - p.distance(DVec3::new(21e-3, 21e-3, 3e-3)));

@@ -15,6 +15,7 @@ use rayon::prelude::*;
 
 use super::plane::Plane;
 use crate::image::VoxelGrid;
+use crate::image::segment::statistics::median;
 use crate::math::{DVec2, DVec3};
 
 /// Median of the size of a vector of n standard normal components, n = 2 (Rayleigh: sqrt(2 ln 2)) and n = 3
@@ -42,13 +43,8 @@ impl Gradient {
     pub fn noise(&self, is_tissue: &[bool]) -> Option<f64> {
         let mut sizes: Vec<f32> =
             (0..is_tissue.len()).filter(|&v| is_tissue[v]).map(|v| self.size(v)).collect();
-        if sizes.is_empty() {
-            return None;
-        }
-        let middle = sizes.len() / 2;
-        let median = f64::from(*sizes.select_nth_unstable_by(middle, f32::total_cmp).1);
         let of_unit = MEDIAN_OF_SIZE.iter().find(|(n, _)| *n == self.n_dimensions).map_or(1.0, |(_, m)| *m);
-        Some(median / of_unit)
+        Some(median(&mut sizes)? / of_unit)
     }
 }
 

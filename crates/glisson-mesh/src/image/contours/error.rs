@@ -1,38 +1,14 @@
 //! Why no organ was found by contours.
 
+use crate::image::segment::SegmentError;
 use crate::image::topology::TopologyError;
 
 /// Why no organ was found by contours.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ContourError {
-    /// A seed is not in the image.
-    #[error(
-        "seed {seed_mm:?} mm is outside the image, which covers {min_mm:?} to {max_mm:?} mm (LPS: +x left, +y posterior, +z superior)"
-    )]
-    SeedOutside {
-        /// The seed [mm].
-        seed_mm: [f64; 3],
-        /// Smallest corner of the image [mm].
-        min_mm: [f64; 3],
-        /// Largest corner of the image [mm].
-        max_mm: [f64; 3],
-    },
-    /// The first seed lies in air, fat or bone.
-    #[error(
-        "at the seed {seed_mm:?} mm the image is {found_hu:.0} HU, soft tissue is -30 to 300 HU; set the seed inside the organ"
-    )]
-    SeedNotSoftTissue {
-        /// The seed [mm].
-        seed_mm: [f64; 3],
-        /// Level around it [HU].
-        found_hu: f64,
-    },
-    /// No automatic seed.
-    #[error("{reason}")]
-    NoSeed {
-        /// What was looked for.
-        reason: String,
-    },
+    /// A seed outside the image, the first one not in soft tissue, or no automatic seed.
+    #[error(transparent)]
+    Seed(#[from] SegmentError),
     /// A correction names a slice that the image does not have.
     #[error("a correction is for slice {slice}, the image has slices 0 to {last}")]
     CorrectionOutside {

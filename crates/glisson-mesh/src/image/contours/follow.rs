@@ -6,7 +6,7 @@
 //! down beside the others is found on the way back.
 
 use super::edges::SliceEdges;
-use super::level::{OrganLevel, median};
+use super::level::OrganLevel;
 use super::params::ContourParams;
 use super::plane::Plane;
 use super::raster::{outlines, rasterised};
@@ -14,6 +14,7 @@ use super::snake::{Settled, SliceImage, settle};
 use crate::image::VoxelGrid;
 use crate::image::filter::{self, Connectivity};
 use crate::image::resample::VoxelBox;
+use crate::image::segment::statistics::median;
 use crate::math::DVec2;
 
 /// Most sweeps up and down.
@@ -31,6 +32,8 @@ pub(super) struct Follower<'a> {
     pub(super) smooth: &'a [f32],
     pub(super) edges: &'a [SliceEdges],
     pub(super) level: &'a OrganLevel,
+    /// [`stiffness_kernel`](super::snake::stiffness_kernel) of `params`.
+    pub(super) kernel: &'a [f64],
     pub(super) params: &'a ContourParams,
 }
 
@@ -42,6 +45,7 @@ impl Follower<'_> {
             smooth: &self.smooth[k * n..][..n],
             edges: &self.edges[k],
             level: self.level,
+            kernel: self.kernel,
         }
     }
 

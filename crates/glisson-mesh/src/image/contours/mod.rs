@@ -32,10 +32,13 @@ pub use self::params::{ContourParams, EdgeMethod};
 pub use self::polygon::SliceContour;
 
 use self::follow::{Follower, SlicePolygons};
-use self::level::{OrganLevel, is_inside, to_mm};
+use self::level::OrganLevel;
 use self::plane::Plane;
+use self::snake::stiffness_kernel;
 use self::stack::stacked;
+use super::segment::error::to_mm;
 use super::segment::guess_seed;
+use super::segment::statistics::check_on_image;
 use super::topology::TopologyRepair;
 use super::{Volume, VoxelGrid, filter};
 use crate::math::{DVec2, DVec3};
@@ -86,10 +89,7 @@ pub fn segment_by_contours(
     let given = checked_corrections(grid, &params.corrections)?;
     let smooth = filter::gaussian(grid, &ct.values, params.denoise_m);
     let seeds_m = match params.seeds_m.as_slice() {
-        [] => {
-            let guess = guess_seed(grid, &smooth);
-            vec![guess.map_err(|error| ContourError::NoSeed { reason: error.to_string() })?]
-        }
+        [] => vec![guess_seed(grid, &smooth)?],
         seeds_m => seeds_m.to_vec(),
     };
     let seeds = seeds_m.iter().map(|&s| seed_in_slice(grid, s)).collect::<Result<Vec<_>, _>>()?;
@@ -107,7 +107,8 @@ pub fn segment_by_contours(
     let edge_thresholds_per_m = params.edge_thresholds.map(|t| t * noise_per_m);
     let edges = edges::edges(grid, &gradient, edge_thresholds_per_m);
 
-    let follower = Follower { plane, smooth: &smooth, edges: &edges, level: &level, params };
+    let kernel = stiffness_kernel(params.elasticity, params.bending);
+    let follower = Follower { plane, smooth: &smooth, edges: &edges, level: &level, kernel: &kernel, params };
     let slices = follower.follow(&seeds, &given);
     let contours: Vec<SliceContour> = slices
         .iter()
@@ -141,14 +142,7 @@ pub fn segment_by_contours(
 
 /// Slice of a seed, and its place on it.
 fn seed_in_slice(grid: &VoxelGrid, seed_m: DVec3) -> Result<(usize, DVec2), ContourError> {
-    if !is_inside(grid, seed_m) {
-        let bounds = grid.bounds_m();
-        return Err(ContourError::SeedOutside {
-            seed_mm: to_mm(seed_m),
-            min_mm: to_mm(bounds.min_m),
-            max_mm: to_mm(bounds.max_m),
-        });
-    }
+    check_on_image(grid, seed_m)?;
     let voxel = grid.voxel_at(seed_m);
     let slice = (voxel.z.round().max(0.0) as usize).min(grid.dims[2] - 1);
     Ok((slice, voxel.truncate() * grid.spacing_m.truncate()))

@@ -20,11 +20,12 @@
 use rayon::prelude::*;
 
 use super::edges::{Edge, SliceEdges};
-use super::level::{OrganLevel, median};
+use super::level::OrganLevel;
 use super::params::ContourParams;
 use super::plane::Plane;
 use super::polygon::{any_crossing, resampled};
 use super::raster::{outlines, rasterised};
+use crate::image::segment::statistics::median;
 use crate::math::DVec2;
 
 /// Least points of a contour that a thread takes at a time.
@@ -50,6 +51,8 @@ pub(super) struct SliceImage<'a> {
     pub(super) smooth: &'a [f32],
     pub(super) edges: &'a SliceEdges,
     pub(super) level: &'a OrganLevel,
+    /// [`stiffness_kernel`] of the contours.
+    pub(super) kernel: &'a [f64],
 }
 
 /// Contours that came to rest.
@@ -67,30 +70,30 @@ pub(super) struct Settled {
 
 /// Moves contours until they rest, starting from `start`.
 pub(super) fn settle(image: &SliceImage<'_>, start: Vec<Vec<DVec2>>, params: &ContourParams) -> Settled {
-    let kernel = stiffness_kernel(params.elasticity, params.bending);
+    let count = |mask: &[bool]| mask.iter().filter(|&&m| m).count();
     let mut polygons = start;
-    let mut mask = rasterised(image.plane, &polygons);
+    let mut n_before = count(&rasterised(image.plane, &polygons));
     let mut found = Settled::default();
     let mut length = 1.0;
     while found.n_steps < params.max_steps && !polygons.is_empty() {
         for _ in 0..STEPS_A_ROUND {
             for polygon in &mut polygons {
                 *polygon =
-                    moved(image, &resampled(polygon, params.point_distance_m), &kernel, length, params);
+                    moved(image, &resampled(polygon, params.point_distance_m), image.kernel, length, params);
             }
         }
         found.n_steps += STEPS_A_ROUND;
-        let before = std::mem::replace(&mut mask, rasterised(image.plane, &polygons));
+        let mut mask = rasterised(image.plane, &polygons);
         if any_crossing(&polygons) {
             polygons = outlines(image.plane, &mask);
             mask = rasterised(image.plane, &polygons);
         }
         polygons.retain(|polygon| holds_organ(image, polygon, params));
-        let n_inside = |mask: &[bool]| mask.iter().filter(|&&m| m).count();
-        let (n_now, n_before) = (n_inside(&mask), n_inside(&before));
+        let n_now = count(&mask);
         if n_now.abs_diff(n_before) as f64 <= TRAVEL_SHARE * n_now as f64 {
             length *= DAMPING;
         }
+        n_before = n_now;
         if length < REST_STEP {
             found.at_rest = true;
             break;
@@ -175,7 +178,7 @@ fn force_m(image: &SliceImage<'_>, place_m: DVec2, outward: DVec2, params: &Cont
 
 /// Weights at offsets 0, 1, 2, ... of the inverse of 1 - a L + b L L on a long polygon. Wrapped around a shorter
 /// one, they are its inverse.
-fn stiffness_kernel(elasticity: f64, bending: f64) -> Vec<f64> {
+pub(super) fn stiffness_kernel(elasticity: f64, bending: f64) -> Vec<f64> {
     /// Points of the long polygon; the weights that wrap around it are below the rounding.
     const N: usize = 512;
     /// Weights below this share of the first are left out.

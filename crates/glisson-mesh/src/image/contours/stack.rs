@@ -4,6 +4,7 @@ use super::params::ContourParams;
 use crate::image::VoxelGrid;
 use crate::image::filter::{self, Connectivity};
 use crate::image::resample::VoxelBox;
+use crate::image::segment::steps::{fill_vessels, smoothed};
 use crate::image::topology::{TopologyError, TopologyRepair, repair_to_ball};
 
 /// The stack of slices `drawn` after closing (which adds only what `is_soft`), opening and closing by a small
@@ -21,12 +22,9 @@ pub(super) fn stacked(
     let near = part.grid(grid);
     let drawn = part.cut(grid, drawn);
     let is_soft: Vec<bool> = (0..drawn.len()).map(|v| is_soft(part.index_in(grid, v))).collect();
-    let closed = filter::close(&near, &drawn, params.close_radius_m);
-    let mut mask: Vec<bool> = (0..drawn.len()).map(|v| drawn[v] || (closed[v] && is_soft[v])).collect();
-    filter::fill_cavities(&near, &mut mask);
-    let opened = filter::open(&near, &mask, params.smooth_radius_m);
-    let smooth = filter::close(&near, &opened, params.smooth_radius_m);
-    let mut mask: Vec<bool> = (0..mask.len()).map(|v| smooth[v] && (mask[v] || is_soft[v])).collect();
+    let mut mask = drawn.clone();
+    fill_vessels(&near, &mut mask, &is_soft, params.close_radius_m);
+    let mut mask = smoothed(&near, &mask, &is_soft, params.smooth_radius_m);
     let n_slice = near.dims[0] * near.dims[1];
     for k in (0..near.dims[2]).filter(|&k| is_given[k + part.first[2]]) {
         mask[k * n_slice..][..n_slice].copy_from_slice(&drawn[k * n_slice..][..n_slice]);

@@ -234,7 +234,7 @@ impl Anatomy {
 
     fn liver_bounds_m(&self) -> Aabb {
         let lobes = [self.right_lobe, self.middle_lobe, self.left_lobe].map(Lobe::bounds_m);
-        let all = lobes.iter().fold(Aabb::EMPTY, |b, l| b.including(l.min_m).including(l.max_m));
+        let all = lobes.iter().fold(Aabb::EMPTY, |b, l| b.joined(l));
         all.grown(8e-3)
     }
 

@@ -65,6 +65,6 @@ pub enum SegmentError {
     Topology(#[from] TopologyError),
 }
 
-pub(super) fn to_mm(point_m: DVec3) -> [f64; 3] {
+pub(in crate::image) fn to_mm(point_m: DVec3) -> [f64; 3] {
     (point_m * 1e3).to_array().map(|x| (x * 10.0).round() / 10.0)
 }

@@ -4,6 +4,7 @@ use super::error::SegmentError;
 use super::statistics::{FAT_HU, most_frequent};
 use crate::image::VoxelGrid;
 use crate::image::filter;
+use crate::image::resample::steps_for;
 use crate::math::DVec3;
 
 /// CT numbers a contrast-enhanced parenchyma can have, for the automatic seed [HU].
@@ -23,7 +24,7 @@ pub fn guess_seed(grid: &VoxelGrid, smooth: &[f32]) -> Result<DVec3, SegmentErro
     const COARSE_M: f64 = 4.5e-3;
     const LEAST_DEPTH_M: f64 = 15e-3;
     let no_seed = || SegmentError::NoSeed { depth_mm: LEAST_DEPTH_M * 1e3 };
-    let step = [0, 1, 2].map(|a| ((COARSE_M / grid.spacing_m[a]).round() as usize).max(1));
+    let step = steps_for(grid, COARSE_M);
     let coarse = VoxelGrid {
         dims: [0, 1, 2].map(|a| grid.dims[a].div_ceil(step[a])),
         spacing_m: grid.spacing_m * DVec3::from_array(step.map(|s| s as f64)),
@@ -33,12 +34,10 @@ pub fn guess_seed(grid: &VoxelGrid, smooth: &[f32]) -> Result<DVec3, SegmentErro
         let [i, j, k] = coarse.voxel(index);
         smooth[grid.index([i * step[0], j * step[1], k * step[2]])]
     };
-    let position_m =
-        |index: usize| coarse.position_m(DVec3::from_array(coarse.voxel(index).map(|v| v as f64)));
     let body: Vec<usize> = (0..coarse.n_voxels()).filter(|&i| at(i) > FAT_HU[0]).collect();
-    let center_x_m = body.iter().map(|&i| position_m(i).x).sum::<f64>() / body.len().max(1) as f64;
+    let center_x_m = body.iter().map(|&i| coarse.center_m(i).x).sum::<f64>() / body.len().max(1) as f64;
     let elsewhere: Vec<bool> = (0..coarse.n_voxels())
-        .map(|i| !(PARENCHYMA_HU[0]..=PARENCHYMA_HU[1]).contains(&at(i)) || position_m(i).x > center_x_m)
+        .map(|i| !(PARENCHYMA_HU[0]..=PARENCHYMA_HU[1]).contains(&at(i)) || coarse.center_m(i).x > center_x_m)
         .collect();
     let depth2 = filter::distance_squared_m2(&coarse, &elsewhere);
     let least2 = (LEAST_DEPTH_M * LEAST_DEPTH_M) as f32;
@@ -53,5 +52,5 @@ pub fn guess_seed(grid: &VoxelGrid, smooth: &[f32]) -> Result<DVec3, SegmentErro
         Some(b) if depth2[b] >= depth2[i] => Some(b),
         _ => Some(i),
     });
-    best.map(position_m).ok_or_else(no_seed)
+    best.map(|index| coarse.center_m(index)).ok_or_else(no_seed)
 }

@@ -3,15 +3,15 @@
 //! [`segment`] grows a region around one point and needs none for a liver; [`segment_with_seeds`] takes
 //! points inside and outside the organ and ends with a geodesic active contour.
 
-mod error;
+pub(super) mod error;
 mod geodesic;
 mod guess;
 mod params;
 mod parting;
 mod region;
 mod seeded;
-mod statistics;
-mod steps;
+pub(super) mod statistics;
+pub(super) mod steps;
 
 pub use error::SegmentError;
 pub use guess::guess_seed;

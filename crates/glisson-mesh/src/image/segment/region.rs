@@ -24,7 +24,9 @@ use super::error::SegmentError;
 use super::guess::guess_seed;
 use super::params::{SegmentParams, Segmentation};
 use super::statistics::Statistics;
-use super::steps::{Core, Denoised, core_at, fill_vessels, grow_into_slope, in_band, not_fat, retain};
+use super::steps::{
+    Core, Denoised, core_at, fill_vessels, grow_into_slope, in_band, not_fat, retain, smoothed,
+};
 use crate::image::Volume;
 use crate::image::filter::{self, Connectivity};
 use crate::image::topology::repair_to_ball;
@@ -44,12 +46,10 @@ pub fn segment(ct: &Volume<f32>, params: &SegmentParams) -> Result<Segmentation,
     let mut region = filter::dilate(grid, &core, params.cut_radius_m);
     retain(&mut region, |index| band[index]);
     let not_fat = not_fat(&image.smooth, statistics.level_hu);
-    fill_vessels(grid, &mut region, &not_fat, params);
+    fill_vessels(grid, &mut region, &not_fat, params.close_radius_m);
     grow_into_slope(grid, &mut region, &not_fat, params);
 
-    let opened = filter::open(grid, &region, params.smooth_radius_m);
-    let mut smoothed = filter::close(grid, &opened, params.smooth_radius_m);
-    retain(&mut smoothed, |index| not_fat[index] || region[index]);
+    let smoothed = smoothed(grid, &region, &not_fat, params.smooth_radius_m);
     let mut mask = filter::largest_piece(grid, &smoothed, Connectivity::Faces);
     let repair = repair_to_ball(grid, &mut mask)?;
     let Statistics { level_hu, noise_hu } = statistics;

@@ -112,8 +112,7 @@ pub fn segment_with_seeds(
             outside: voxels_around(&coarse.grid, &seeds.outside_m, params.seed_radius_m),
         };
         add(&mut barred, &core);
-        let outside = belongs_outside(&coarse.grid, &barred, &image.smooth, &voxels, edge_hu);
-        barred = outside;
+        barred = belongs_outside(&coarse.grid, &barred, &image.smooth, &voxels, edge_hu);
         retain(&mut core, |index| !barred[index]);
         core = pieces_with(&coarse.grid, &core, &voxels.inside);
     }
@@ -192,21 +191,19 @@ impl Found {
         let whole = &image.ct.grid;
         let region = &params.region;
         let margin_m = 2.0 * region.close_radius_m + params.free_depth_m;
-        let part = VoxelBox::around(whole, &self.core, margin_m)
-            .unwrap_or(VoxelBox { first: [0; 3], dims: whole.dims });
+        let part = VoxelBox::around(whole, &self.core, margin_m).unwrap_or_else(|| VoxelBox::whole(whole));
         let grid = part.grid(whole);
         let core = part.cut(whole, &self.core);
         let band = part.cut(whole, &self.band);
         let values = part.cut(whole, &image.ct.values);
-        let mut allowed = part.cut(whole, &not_fat(&image.smooth, self.level_hu));
+        let not_fat = part.cut(whole, &not_fat(&image.smooth, self.level_hu));
         let to_barred = filter::distance_squared_m2(&grid, &part.cut(whole, &self.barred));
         let to_core = filter::distance_squared_m2(&grid, &core);
         let cut2 = (region.cut_radius_m * region.cut_radius_m * (1.0 + 1e-5)) as f32;
-        let not_fat = allowed.clone();
-        retain(&mut allowed, |index| to_barred[index] > cut2);
+        let allowed: Vec<bool> = (0..core.len()).map(|i| not_fat[i] && to_barred[i] > cut2).collect();
         let mut grown: Vec<bool> =
             (0..core.len()).map(|i| band[i] && to_core[i] <= cut2 && to_core[i] <= to_barred[i]).collect();
-        fill_vessels(&grid, &mut grown, &allowed, region);
+        fill_vessels(&grid, &mut grown, &allowed, region.close_radius_m);
         let mut with_slope = grown.clone();
         grow_into_slope(&grid, &mut with_slope, &not_fat, region);
 
@@ -240,7 +237,6 @@ impl Found {
 
 /// Step 6.
 fn in_own_voxels(own: &VoxelGrid, shares: &Volume<f32>) -> Result<(Vec<bool>, TopologyRepair), SegmentError> {
-    let whole = VoxelBox { first: [0; 3], dims: own.dims };
     let low = own.voxel_at(shares.grid.position_m(DVec3::ZERO));
     let last = DVec3::from_array(shares.grid.dims.map(|n| n as f64 - 1.0));
     let high = own.voxel_at(shares.grid.position_m(last));
@@ -248,7 +244,7 @@ fn in_own_voxels(own: &VoxelGrid, shares: &Volume<f32>) -> Result<(Vec<bool>, To
     let step = shares.grid.spacing_m / own.spacing_m;
     let first = [0, 1, 2].map(|a| (low[a] - 0.5 * step[a]).max(0.0) as usize);
     let dims = [0, 1, 2]
-        .map(|a| ((high[a] + 0.5 * step[a]).ceil() as usize + 1).min(whole.dims[a]).saturating_sub(first[a]));
+        .map(|a| ((high[a] + 0.5 * step[a]).ceil() as usize + 1).min(own.dims[a]).saturating_sub(first[a]));
     let part = VoxelBox { first, dims };
     let grid = part.grid(own);
     let inside: Vec<bool> = (0..grid.n_voxels())

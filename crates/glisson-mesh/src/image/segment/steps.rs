@@ -4,6 +4,7 @@ use super::error::{SegmentError, to_mm};
 use super::params::SegmentParams;
 use super::statistics::{SOFT_TISSUE_HU, Statistics, fat_level, piece_near, statistics_at_seed};
 use crate::image::filter;
+use crate::image::resample::VoxelBox;
 use crate::image::{Volume, VoxelGrid};
 use crate::math::DVec3;
 
@@ -42,8 +43,15 @@ pub(super) fn core_at(
     reach_m: Option<f64>,
     params: &SegmentParams,
 ) -> Result<Core, SegmentError> {
-    let (grid, smooth) = (&image.ct.grid, &image.smooth);
-    let mut statistics = statistics_at_seed(image.ct, smooth, seed_m, params)?;
+    let whole = &image.ct.grid;
+    let mut statistics = statistics_at_seed(image.ct, &image.smooth, seed_m, params)?;
+    // All that the erosion sees of a band within reach.
+    let part = match reach_m {
+        Some(reach_m) => VoxelBox::around_ball(whole, seed_m, reach_m + 2.0 * params.cut_radius_m),
+        None => VoxelBox::whole(whole),
+    };
+    let grid = &part.grid(whole);
+    let smooth = &part.cut(whole, &image.smooth);
     let n_refinements = if reach_m.is_some() { 0 } else { N_REFINEMENTS };
     let mut round = 0;
     loop {
@@ -57,9 +65,16 @@ pub(super) fn core_at(
             SegmentError::NothingFound { seed_mm: to_mm(seed_m), low_hu: band_hu[0], high_hu: band_hu[1] }
         })?;
         if round == n_refinements {
-            return Ok(Core { band, core, statistics });
+            let in_whole = |inside: &[bool]| {
+                let mut mask = vec![false; whole.n_voxels()];
+                part.paste(whole, inside, &mut mask);
+                mask
+            };
+            return Ok(Core { band: in_whole(&band), core: in_whole(&core), statistics });
         }
-        statistics = Statistics::of(image.ct, smooth, (0..core.len()).filter(|&i| core[i]), params);
+        let inside: Vec<usize> =
+            (0..core.len()).filter(|&i| core[i]).map(|i| part.index_in(whole, i)).collect();
+        statistics = Statistics::of(image.ct, &image.smooth, &inside, params);
         round += 1;
     }
 }
@@ -83,12 +98,30 @@ pub(super) fn not_fat(smooth: &[f32], level_hu: f64) -> Vec<bool> {
 }
 
 /// Adds vessels and lesions that reach the surface, as far as `allowed`, and cavities.
-pub(super) fn fill_vessels(grid: &VoxelGrid, region: &mut [bool], allowed: &[bool], params: &SegmentParams) {
-    let closed = filter::close(grid, region, params.close_radius_m);
+pub(in crate::image) fn fill_vessels(
+    grid: &VoxelGrid,
+    region: &mut [bool],
+    allowed: &[bool],
+    close_radius_m: f64,
+) {
+    let closed = filter::close(grid, region, close_radius_m);
     for (index, inside) in region.iter_mut().enumerate() {
         *inside |= closed[index] && allowed[index];
     }
     filter::fill_cavities(grid, region);
+}
+
+/// The region after opening and closing by a ball, without what is neither `allowed` nor in the region.
+pub(in crate::image) fn smoothed(
+    grid: &VoxelGrid,
+    region: &[bool],
+    allowed: &[bool],
+    radius_m: f64,
+) -> Vec<bool> {
+    let opened = filter::open(grid, region, radius_m);
+    let mut smoothed = filter::close(grid, &opened, radius_m);
+    retain(&mut smoothed, |index| allowed[index] || region[index]);
+    smoothed
 }
 
 /// Adds to `region` the voxels of `not_fat` within the slope's depth, unless a thick piece of other soft

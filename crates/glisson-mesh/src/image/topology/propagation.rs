@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use super::TopologyError;
 use crate::disjoint_sets::DisjointSets;
 use crate::image::VoxelGrid;
+use crate::image::resample::VoxelBox;
 
 /// Most voxels of a crop: places are kept as `u32`.
 const MOST_VOXELS: usize = u32::MAX as usize / 2;
@@ -45,23 +46,8 @@ impl Crop {
                 return Err(TopologyError::WrongSpacing { axis, found_m });
             }
         }
-        let (mut low, mut high) = ([usize::MAX; 3], [0; 3]);
-        for k in 0..grid.dims[2] {
-            for j in 0..grid.dims[1] {
-                let start = grid.index([0, j, k]);
-                let row = &mask[start..start + grid.dims[0]];
-                let Some(first) = row.iter().position(|&m| m) else { continue };
-                let last = row.iter().rposition(|&m| m).expect("a row with a first voxel has a last");
-                for (axis, (a, b)) in [(first, last), (j, j), (k, k)].into_iter().enumerate() {
-                    low[axis] = low[axis].min(a);
-                    high[axis] = high[axis].max(b);
-                }
-            }
-        }
-        if low[0] == usize::MAX {
-            return Err(TopologyError::Empty);
-        }
-        let dims = [0, 1, 2].map(|a| high[a] - low[a] + 3);
+        let part = VoxelBox::around(grid, mask, 0.0).ok_or(TopologyError::Empty)?;
+        let (low, dims) = (part.first, part.dims.map(|n| n + 2));
         let n = dims.iter().try_fold(1usize, |n, &d| n.checked_mul(d));
         let n =
             n.filter(|&n| n <= MOST_VOXELS).ok_or(TopologyError::TooLarge { dims, limit: MOST_VOXELS })?;
@@ -186,12 +172,11 @@ impl Crop {
     }
 
     /// Clears the voxel at `index`; answers how that changes the Euler characteristic.
-    pub(super) fn clear_and_count_euler(&mut self, index: usize) -> i64 {
-        let contribution = euler_contributions();
+    pub(super) fn clear_and_count_euler(&mut self, index: usize, contributions: &[i64; 256]) -> i64 {
         let s = self.strides();
         let around = |crop: &Self| -> i64 {
             let lows = (0..8).map(|c| index - (c & 1) * s[0] - ((c >> 1) & 1) * s[1] - (c >> 2) * s[2]);
-            lows.map(|low| contribution[usize::from(crop.block(low))]).sum()
+            lows.map(|low| contributions[usize::from(crop.block(low))]).sum()
         };
         let before = around(self);
         self.cells[index] = 0;
@@ -627,7 +612,7 @@ pub(crate) fn well_composed_blocks() -> [bool; 256] {
 
 /// What each pattern of a block adds to the Euler characteristic: a block owns its middle corner and the
 /// three edges, the three faces and the voxel on its upper side.
-fn euler_contributions() -> [i64; 256] {
+pub(super) fn euler_contributions() -> [i64; 256] {
     std::array::from_fn(|bits| {
         let any = |cells: u8| i64::from(bits as u8 & cells != 0);
         any(0b1111_1111) - any(0b1010_1010) - any(0b1100_1100) - any(0b1111_0000)

@@ -200,14 +200,11 @@ impl<'a> Fit<'a> {
                 continue;
             }
             let mut best_m = at_m;
-            let mut wanted = vec![self.middle_of_neighbours_m(node) - at_m];
-            if tet != u32::MAX {
-                let away = self.away_from_opposite_face(tet, node) * self.cell_m;
-                wanted.extend([0.2 * away, 0.06 * away, 0.02 * away]);
-            }
-            for step_m in wanted {
+            let away = self.away_from_opposite_face(tet, node) * self.cell_m;
+            let to_middle = self.middle_of_neighbours_m(node) - at_m;
+            let range_m = OUTSIDE_RANGE_OVER_CELL * self.cell_m;
+            for step_m in [to_middle, 0.2 * away, 0.06 * away, 0.02 * away] {
                 let to_m = at_m + step_m;
-                let range_m = OUTSIDE_RANGE_OVER_CELL * self.cell_m;
                 if is_outside && to_m.distance(self.first_m[node]) > range_m {
                     continue;
                 }
@@ -229,7 +226,7 @@ impl<'a> Fit<'a> {
             let at_m = self.complex.positions_m[node];
             let shape = StarShape { stars: &self.stars, cell_m: self.cell_m };
             let (mut now, tet) = shape.worst_at(&self.complex, node, at_m);
-            if now < bearable || tet == u32::MAX {
+            if now < bearable {
                 continue;
             }
             let border = self.border(node, &mut shares);

@@ -1,10 +1,9 @@
 //! The faces between tetrahedra of different regions.
 
 use super::complex::Complex;
+use super::label_faces::label_faces;
 use crate::math::DVec3;
 use crate::mesh::NodeId;
-use crate::mesh::topology::TET_TRIANGLES;
-use crate::mesh::topology::build::sorted_faces;
 
 /// A face between two regions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,16 +30,9 @@ impl InterfaceFace {
 /// All faces between two regions of a complex, the outside among them, in the order of their ascending nodes.
 pub(super) fn interface_faces(complex: &Complex) -> Vec<InterfaceFace> {
     let tets: Vec<[NodeId; 4]> = complex.tets.iter().map(|nodes| nodes.map(NodeId)).collect();
-    let mut found = Vec::new();
-    for same in sorted_faces(&tets).chunk_by(|a, b| a.0 == b.0) {
-        let [first, second] = same else { continue };
-        let region = |record: u32| complex.tet_regions[record as usize / 4];
-        let (a, b) = (region(first.1), region(second.1));
-        if a != b {
-            let from = if a < b { first.1 } else { second.1 } as usize;
-            let nodes = TET_TRIANGLES[from % 4].map(|k| complex.tets[from / 4][k]);
-            found.push(InterfaceFace { nodes, regions: [a.min(b), a.max(b)] });
-        }
-    }
-    found
+    label_faces(&tets, &complex.tet_regions)
+        .into_iter()
+        .filter(|face| face.labels[0] < face.labels[1])
+        .map(|face| InterfaceFace { nodes: face.nodes.map(|n| n.0), regions: face.labels })
+        .collect()
 }

@@ -1,11 +1,10 @@
 //! Regions of the nodes of a body-centred cubic lattice over all organs.
 
-use super::complex::NO_REGION;
 use super::error::OrganMeshError;
 use super::field::ShareField;
 use super::levels::LARGEST_LEVEL;
 use super::regions::RegionGrid;
-use super::stencils::{for_each_lattice_tet, n_pieces};
+use super::stencils::n_pieces;
 use crate::disjoint_sets::DisjointSets;
 use crate::math::{Aabb, DVec3};
 use crate::mesh::stuffing::Lattice;
@@ -107,7 +106,7 @@ impl Labelling {
     /// Number of tetrahedra into which the regions will be cut.
     pub(super) fn n_tets(&self) -> usize {
         let mut n = 0;
-        for_each_lattice_tet(&self.lattice, |nodes| n += n_pieces(nodes.map(|node| self.regions[node])));
+        self.lattice.for_each_tet(|nodes| n += n_pieces(nodes.map(|node| self.regions[node])));
         n
     }
 
@@ -134,7 +133,7 @@ impl Labelling {
     /// Lattice nodes of the same region joined by edges.
     fn pieces(&self) -> DisjointSets {
         let mut pieces = DisjointSets::new(self.regions.len());
-        for_each_lattice_tet(&self.lattice, |nodes| {
+        self.lattice.for_each_tet(|nodes| {
             for a in 0..4 {
                 for b in a + 1..4 {
                     if self.regions[nodes[a]] == self.regions[nodes[b]] {
@@ -167,17 +166,17 @@ impl Labelling {
             .collect();
         let crumb_nodes: Vec<usize> =
             (0..n).filter(|&n| is_crumb[n] && self.lattice.is_interior(n, 1)).collect();
-        let before = self.regions.clone();
+        // Crumbs do not vote, and nothing else changes.
         let mut votes = vec![0usize; n_regions + 1];
         for &node in &crumb_nodes {
             votes.fill(0);
             for neighbour in self.lattice.neighbours(node).into_iter().filter(|&n| !is_crumb[n]) {
-                votes[usize::from(before[neighbour])] += 1;
+                votes[usize::from(self.regions[neighbour])] += 1;
             }
             let most = votes.iter().copied().max().unwrap_or(0);
             let winner = votes.iter().position(|&v| v == most && most > 0);
             if let Some(winner) = winner {
-                self.regions[node] = u16::try_from(winner).unwrap_or(NO_REGION);
+                self.regions[node] = u16::try_from(winner).expect("regions are fewer than labels");
             }
         }
         self.n_crumb_nodes = crumb_nodes.len();

@@ -28,6 +28,7 @@ mod stencils;
 mod levels;
 mod labelling;
 mod sizing;
+mod label_faces;
 mod interface_faces;
 mod shape;
 mod fit;
@@ -66,7 +67,7 @@ pub const RESOLVED_THICKNESS_CELLS: f64 = 2.0;
 const N_SWEEPS: usize = 12;
 
 /// Sweeps before the volumes are first corrected: the nodes must have come near the borders.
-const N_FREE_SWEEPS: usize = 1;
+const N_FREE_SWEEPS: usize = 2;
 
 /// Part of the progress that the first steps take.
 const PROGRESS_BEFORE_SWEEPS: f64 = 0.1;
@@ -108,7 +109,7 @@ pub fn mesh_organs(
     let wanted_m3 = regions.volumes_m3();
     let mut fit = Fit::new(complex, &field, Levels::new(labelling.levels.clone()), cell_m);
     for sweep in 0..N_SWEEPS {
-        if sweep > N_FREE_SWEEPS {
+        if sweep >= N_FREE_SWEEPS {
             fit.correct_levels(&faces, &wanted_m3);
         }
         fit.sweep();
@@ -125,7 +126,7 @@ pub fn mesh_organs(
         ..OrganMeshReport::of_shape(&mesh, report::interface_distance_m(&complex, &faces, &field))
     };
     let label_of = tet_regions.into_iter().map(|region| regions.label(region)).collect();
-    Ok(OrganMesh { mesh, label_of, report })
+    Ok(OrganMesh::new(mesh, label_of, report))
 }
 
 /// The tetrahedra of the regions alone, over their nodes, and the region of each.

@@ -1,8 +1,7 @@
 //! The mesh of several organs, and the surfaces in it.
 
+use super::label_faces::{LabelFace, label_faces};
 use super::report::OrganMeshReport;
-use crate::mesh::topology::TET_TRIANGLES;
-use crate::mesh::topology::build::sorted_faces;
 use crate::mesh::{NodeId, TetMesh};
 use crate::surface::TriMesh;
 
@@ -15,6 +14,8 @@ pub struct OrganMesh {
     pub label_of: Vec<u16>,
     /// How well it met what was wanted.
     pub report: OrganMeshReport,
+    /// Faces between labels, from both sides.
+    faces: Vec<LabelFace>,
 }
 
 /// A surface cut out of a mesh.
@@ -26,13 +27,13 @@ pub struct OrganSurface {
     pub nodes: Vec<NodeId>,
 }
 
-/// A face of the mesh between two labels, as the first of them sees it.
-struct LabelFace {
-    nodes: [NodeId; 3],
-    labels: [u16; 2],
-}
-
 impl OrganMesh {
+    /// A mesh whose tetrahedra have these labels.
+    pub(super) fn new(mesh: TetMesh, label_of: Vec<u16>, report: OrganMeshReport) -> Self {
+        let faces = label_faces(&mesh.tetrahedra, &label_of);
+        Self { mesh, label_of, report, faces }
+    }
+
     /// Labels that have tetrahedra, ascending.
     pub fn labels(&self) -> Vec<u16> {
         let mut labels = self.label_of.clone();
@@ -43,12 +44,8 @@ impl OrganMesh {
 
     /// Pairs of labels that share faces, ascending; 0 is outside.
     pub fn neighbours(&self) -> Vec<[u16; 2]> {
-        let mut pairs: Vec<[u16; 2]> = Vec::new();
-        self.for_each_label_face(|face| {
-            if face.labels[0] < face.labels[1] {
-                pairs.push(face.labels);
-            }
-        });
+        let faces = self.faces.iter().map(|face| face.labels);
+        let mut pairs: Vec<[u16; 2]> = faces.filter(|[low, high]| low < high).collect();
         pairs.sort_unstable();
         pairs.dedup();
         pairs
@@ -68,13 +65,14 @@ impl OrganMesh {
         self.surface_where(|labels| labels == [label, other])
     }
 
+    /// Number of faces between two labels; 0 is outside.
+    pub fn n_faces_between(&self, label: u16, other: u16) -> usize {
+        self.faces.iter().filter(|face| face.labels == [label, other]).count()
+    }
+
     fn surface_where(&self, is_wanted: impl Fn([u16; 2]) -> bool) -> OrganSurface {
-        let mut faces = Vec::new();
-        self.for_each_label_face(|face| {
-            if is_wanted(face.labels) {
-                faces.push(face.nodes);
-            }
-        });
+        let wanted = self.faces.iter().filter(|face| is_wanted(face.labels));
+        let faces: Vec<[NodeId; 3]> = wanted.map(|face| face.nodes).collect();
         let mut nodes: Vec<NodeId> = faces.iter().flatten().copied().collect();
         nodes.sort_unstable();
         nodes.dedup();
@@ -87,26 +85,5 @@ impl OrganMesh {
             triangles: faces.iter().map(|f| f.map(|n| vertex_of[n.index()])).collect(),
         };
         OrganSurface { surface, nodes }
-    }
-
-    /// Calls `visit` with every face between two labels, from both sides, in the order of their ascending nodes.
-    fn for_each_label_face(&self, mut visit: impl FnMut(LabelFace)) {
-        let tets = &self.mesh.tetrahedra;
-        let label = |record: u32| self.label_of[record as usize / 4];
-        let nodes = |record: u32| TET_TRIANGLES[record as usize % 4].map(|k| tets[record as usize / 4][k]);
-        for same in sorted_faces(tets).chunk_by(|a, b| a.0 == b.0) {
-            match *same {
-                [(_, only)] => {
-                    visit(LabelFace { nodes: nodes(only), labels: [label(only), 0] });
-                    let [a, b, c] = nodes(only);
-                    visit(LabelFace { nodes: [a, c, b], labels: [0, label(only)] });
-                }
-                [(_, a), (_, b)] if label(a) != label(b) => {
-                    visit(LabelFace { nodes: nodes(a), labels: [label(a), label(b)] });
-                    visit(LabelFace { nodes: nodes(b), labels: [label(b), label(a)] });
-                }
-                _ => {}
-            }
-        }
     }
 }

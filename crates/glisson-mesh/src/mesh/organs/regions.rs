@@ -2,8 +2,8 @@
 
 use super::error::OrganMeshError;
 use crate::image::labels::check_clear_of_border;
+use crate::image::resample::VoxelBox;
 use crate::image::{LabelMap, VoxelGrid};
-use crate::math::DVec3;
 
 /// Regions of the voxels in the box around all of them; 0 is outside.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,46 +41,35 @@ impl RegionGrid {
         for (region, &label) in (1..).zip(&wanted) {
             region_of_label[usize::from(label)] = region;
         }
-        let (mut low, mut high) = ([usize::MAX; 3], [0; 3]);
         let mut n_voxels = vec![0; wanted.len()];
-        let mut at_border = None;
-        for (row, labels) in map.labels.chunks(grid.dims[0].max(1)).enumerate() {
-            let [_, j, k] = grid.voxel(row * grid.dims[0]);
-            for (i, &label) in labels.iter().enumerate() {
-                let region = region_of_label[usize::from(label)];
-                if region == 0 {
-                    continue;
-                }
+        let mut is_wanted = Vec::with_capacity(map.labels.len());
+        for &label in &map.labels {
+            let region = region_of_label[usize::from(label)];
+            is_wanted.push(region > 0);
+            if region > 0 {
                 n_voxels[usize::from(region) - 1] += 1;
-                let voxel = [i, j, k];
-                for axis in 0..3 {
-                    low[axis] = low[axis].min(voxel[axis]);
-                    high[axis] = high[axis].max(voxel[axis]);
-                    if at_border.is_none() && (voxel[axis] == 0 || voxel[axis] + 1 == grid.dims[axis]) {
-                        at_border = Some(label);
-                    }
-                }
             }
         }
         if let Some(region) = n_voxels.iter().position(|&n| n == 0) {
             let (label, available) = (wanted[region], map.present());
             return Err(OrganMeshError::UnknownLabel { label, available });
         }
-        if let Some(label) = at_border {
+        let part = VoxelBox::around(grid, &is_wanted, 0.0).ok_or(OrganMeshError::NoLabels)?;
+        let touches = (0..3).any(|a| part.first[a] == 0 || part.first[a] + part.dims[a] == grid.dims[a]);
+        let is_at_border = |index: usize| {
+            let voxel = grid.voxel(index);
+            (0..3).any(|a| voxel[a] == 0 || voxel[a] + 1 == grid.dims[a])
+        };
+        let first = |index: &usize| is_wanted[*index] && is_at_border(*index);
+        if let Some(index) = touches.then(|| (0..is_wanted.len()).find(first)).flatten() {
+            let label = map.labels[index];
             let mask: Vec<bool> = map.labels.iter().map(|&l| l == label).collect();
             check_clear_of_border(grid, &mask)
                 .map_err(|cut_off| OrganMeshError::Border { label, cut_off })?;
         }
-        let dims = [0, 1, 2].map(|axis| high[axis] - low[axis] + 1);
-        let mut of_voxels = Vec::with_capacity(dims.iter().product());
-        for k in low[2]..=high[2] {
-            for j in low[1]..=high[1] {
-                let row = &map.labels[grid.index([low[0], j, k])..][..dims[0]];
-                of_voxels.extend(row.iter().map(|&label| region_of_label[usize::from(label)]));
-            }
-        }
-        let first = DVec3::new(low[0] as f64, low[1] as f64, low[2] as f64);
-        let cropped = VoxelGrid { dims, origin_m: grid.position_m(first), ..grid.clone() };
+        let labels = part.cut(grid, &map.labels);
+        let of_voxels = labels.into_iter().map(|label| region_of_label[usize::from(label)]).collect();
+        let cropped = part.grid(grid);
         Ok(Self { grid: cropped, of_voxels, labels: wanted, n_voxels })
     }
 

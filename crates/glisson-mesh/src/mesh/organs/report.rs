@@ -1,13 +1,15 @@
 //! How well a mesh of several organs met what was wanted.
 
 use super::complex::{Complex, n_regions};
-use super::field::ShareField;
+use super::field::{ShareField, Shares};
 use super::interface_faces::InterfaceFace;
 use super::labelling::Labelling;
 use super::levels::Levels;
 use super::regions::RegionGrid;
+use crate::math::DVec3;
 use crate::mesh::quality::dihedral_cosine_range;
 use crate::mesh::{TetId, TetMesh};
+use rayon::prelude::*;
 
 /// One organ of the mesh.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -120,25 +122,24 @@ pub(super) fn interface_distance_m(
     faces: &[InterfaceFace],
     field: &ShareField<'_>,
 ) -> [f64; 2] {
-    let mut shares = field.shares();
-    let (mut sum_m2, mut n, mut largest_m) = (0.0, 0.0, 0.0f64);
-    let mut add = |position_m, [a, b]: [usize; 2]| {
-        field.sample_into(position_m, &mut shares);
-        let (psi, gradient) = shares.lead(a, b);
-        let slope = gradient.length();
-        let distance_m = (psi / slope.max(LEAST_SLOPE * field.flat_slope())).abs();
-        sum_m2 += distance_m * distance_m;
-        n += 1.0;
-        largest_m = largest_m.max(distance_m);
-    };
-    for face in faces {
+    let centres = faces.iter().map(|face| {
         let [a, b, c] = face.corners_m(complex);
-        add((a + b + c) / 3.0, face.regions.map(usize::from));
-    }
-    for (position_m, regions) in complex.positions_m.iter().zip(&complex.node_regions) {
-        if n_regions(regions) == 2 {
-            add(*position_m, [regions[0], regions[1]].map(usize::from));
-        }
-    }
+        ((a + b + c) / 3.0, face.regions)
+    });
+    let nodes = complex.positions_m.iter().zip(&complex.node_regions);
+    let on_two = nodes.filter(|(_, regions)| n_regions(regions) == 2);
+    let places: Vec<(DVec3, [u16; 2])> =
+        centres.chain(on_two.map(|(&p, regions)| (p, [regions[0], regions[1]]))).collect();
+    let distance_m = |shares: &mut Shares, &(position_m, regions): &(DVec3, [u16; 2])| {
+        field.sample_into(position_m, shares);
+        let [a, b] = regions.map(usize::from);
+        let (psi, gradient) = shares.lead(a, b);
+        (psi / gradient.length().max(LEAST_SLOPE * field.flat_slope())).abs()
+    };
+    let distances_m: Vec<f64> =
+        places.par_iter().with_min_len(64).map_init(|| field.shares(), distance_m).collect();
+    let sum_m2: f64 = distances_m.iter().map(|d| d * d).sum();
+    let n = distances_m.len() as f64;
+    let largest_m = distances_m.iter().copied().fold(0.0, f64::max);
     [if n > 0.0 { (sum_m2 / n).sqrt() } else { 0.0 }, largest_m]
 }

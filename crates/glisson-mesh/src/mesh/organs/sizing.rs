@@ -13,8 +13,8 @@ const COUNT_GOAL: f64 = 0.02;
 /// Cells tried at most.
 const MOST_TRIALS: usize = 10;
 
-/// The number of tetrahedra grows like this power of the cell: between 2, thin organs, and 3, thick ones.
-const COUNT_POWER: f64 = -2.8;
+/// The number of tetrahedra falls with this power of the cell: between 2, thin organs, and 3, thick ones.
+const COUNT_POWER: f64 = 2.8;
 
 /// A labelled lattice of the wanted size.
 pub(super) struct Sized {
@@ -38,7 +38,7 @@ pub(super) fn sized(regions: &RegionGrid, size: OrganSize) -> Result<Sized, Orga
                     allowed: format!("more than 0 to {:.1} mm for these organs", 1e3 * longest_m),
                 });
             }
-            let labelling = labelled(regions, cell_m)?;
+            let (labelling, _) = labelled(regions, cell_m)?;
             check_each_has_nodes(regions, &labelling, cell_m)?;
             Ok(Sized { cell_m, labelling })
         }
@@ -61,13 +61,13 @@ fn with_count(regions: &RegionGrid, wanted: f64) -> Result<Sized, OrganMeshError
     let mut cell_m = 1.3 * libm::cbrt(total_m3(regions) / TETRAHEDRON_OVER_CELL / wanted);
     let mut best: Option<(f64, Sized)> = None;
     for _ in 0..MOST_TRIALS {
-        let labelling = match labelled(regions, cell_m) {
-            Ok(labelling) => labelling,
+        let (labelling, n_tets) = match labelled(regions, cell_m) {
+            Ok(labelled) => labelled,
             // A trial went beyond what is allowed on the way to a number that is.
             Err(_) if best.is_some() => break,
             Err(error) => return Err(error),
         };
-        let ratio = (labelling.n_tets() as f64 / wanted).max(1e-3);
+        let ratio = (n_tets as f64 / wanted).max(1e-3);
         let off = libm::log(ratio).abs();
         if best.as_ref().is_none_or(|(least, _)| off < *least) {
             best = Some((off, Sized { cell_m, labelling }));
@@ -75,9 +75,9 @@ fn with_count(regions: &RegionGrid, wanted: f64) -> Result<Sized, OrganMeshError
         if off < COUNT_GOAL {
             break;
         }
-        cell_m *= libm::pow(ratio, -1.0 / COUNT_POWER);
+        cell_m *= libm::pow(ratio, 1.0 / COUNT_POWER);
     }
-    let Some((_, found)) = best else { return Err(OrganMeshError::NoLabels) };
+    let (_, found) = best.expect("the first trial is kept or an error");
     check_each_has_nodes(regions, &found.labelling, found.cell_m)?;
     Ok(found)
 }
@@ -86,8 +86,8 @@ fn total_m3(regions: &RegionGrid) -> f64 {
     regions.volumes_m3().iter().sum()
 }
 
-/// Labels a lattice of this cell, unless it would have too many tetrahedra.
-fn labelled(regions: &RegionGrid, cell_m: f64) -> Result<Labelling, OrganMeshError> {
+/// Labels a lattice of this cell, unless it would have too many tetrahedra; and how many it will have.
+fn labelled(regions: &RegionGrid, cell_m: f64) -> Result<(Labelling, usize), OrganMeshError> {
     let volume_m3 = total_m3(regions);
     let cell_m3 = cell_m * cell_m * cell_m;
     let check = |n_tets: f64| {
@@ -104,8 +104,9 @@ fn labelled(regions: &RegionGrid, cell_m: f64) -> Result<Labelling, OrganMeshErr
     };
     check(volume_m3 / (TETRAHEDRON_OVER_CELL * cell_m3))?;
     let labelling = Labelling::new(regions, &ShareField::new(regions, cell_m), cell_m)?;
-    check(labelling.n_tets() as f64)?;
-    Ok(labelling)
+    let n_tets = labelling.n_tets();
+    check(n_tets as f64)?;
+    Ok((labelling, n_tets))
 }
 
 /// Refuses a lattice in which an organ has no node.
@@ -116,7 +117,7 @@ fn check_each_has_nodes(
 ) -> Result<(), OrganMeshError> {
     let n_nodes = labelling.n_nodes_of_regions(regions.n_regions());
     let Some(region) = (1..n_nodes.len()).find(|&region| n_nodes[region] == 0) else { return Ok(()) };
-    let region = u16::try_from(region).unwrap_or(u16::MAX);
+    let region = u16::try_from(region).expect("regions are fewer than labels");
     let n_voxels = regions.n_voxels(region);
     Err(OrganMeshError::Vanished {
         label: regions.label(region),

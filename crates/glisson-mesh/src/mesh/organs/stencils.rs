@@ -21,40 +21,6 @@ type Key = [u32; 4];
 
 const NO_NODE: u32 = u32::MAX;
 
-/// Calls `visit` with the nodes of every tetrahedron of the lattice.
-pub(super) fn for_each_lattice_tet(lattice: &Lattice, mut visit: impl FnMut([usize; 4])) {
-    let [ni, nj, nk] = lattice.dims;
-    for k in 0..nk {
-        for j in 0..nj {
-            for i in 0..ni {
-                for axis in 0..3 {
-                    let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
-                    let mut far = [i, j, k];
-                    far[axis] += 1;
-                    let mut last = far;
-                    last[b] += 1;
-                    last[c] += 1;
-                    if (0..3).any(|a| last[a] >= lattice.dims[a]) {
-                        continue;
-                    }
-                    // Two neighbouring cube centres and, around the edge between them, the square's corners.
-                    let corner = |on_b: usize, on_c: usize| {
-                        let mut place = far;
-                        place[b] += on_b;
-                        place[c] += on_c;
-                        lattice.node(place, false)
-                    };
-                    let ring = [corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)];
-                    let ends = [lattice.node([i, j, k], true), lattice.node(far, true)];
-                    for at in 0..4 {
-                        visit([ends[0], ends[1], ring[at], ring[(at + 1) % 4]]);
-                    }
-                }
-            }
-        }
-    }
-}
-
 /// Number of tetrahedra into which a lattice tetrahedron with these regions at its corners is cut, the outside's not
 /// counted.
 pub(super) fn n_pieces(regions: [u16; 4]) -> usize {
@@ -82,7 +48,7 @@ fn distinct(regions: [u16; 4]) -> usize {
 /// one. The cuts lie in the middle.
 pub(super) fn cut(lattice: &Lattice, regions: &[u16]) -> Complex {
     let mut cutter = Cutter { lattice, regions, complex: Complex::default(), id_of: HashMap::new() };
-    for_each_lattice_tet(lattice, |nodes| {
+    lattice.for_each_tet(|nodes| {
         let of_corners = nodes.map(|n| regions[n]);
         if of_corners != [0; 4] {
             cutter.cut_tet(nodes, of_corners);
@@ -237,7 +203,7 @@ mod tests {
                 (0..lattice.n_nodes()).map(|_| 1 + (random.next_u64() % n_regions) as u16).collect();
             let complex = cut(&lattice, &regions);
             let (mut n_lattice, mut n_expected) = (0, 0);
-            for_each_lattice_tet(&lattice, |nodes| {
+            lattice.for_each_tet(|nodes| {
                 n_lattice += 1;
                 n_expected += n_pieces(nodes.map(|n| regions[n]));
             });

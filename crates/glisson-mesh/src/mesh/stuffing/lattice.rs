@@ -80,7 +80,7 @@ impl Lattice {
     }
 
     /// Node of grid place (i, j, k), odd or even.
-    pub(in crate::mesh) fn node(&self, [i, j, k]: [usize; 3], odd: bool) -> usize {
+    pub(super) fn node(&self, [i, j, k]: [usize; 3], odd: bool) -> usize {
         2 * (i + self.dims[0] * (j + self.dims[1] * k)) + usize::from(odd)
     }
 
@@ -99,6 +99,40 @@ impl Lattice {
     pub fn position_m(&self, node: usize) -> DVec3 {
         let [x, y, z] = self.half_cells(node);
         self.origin_m + 0.5 * self.cell_m * DVec3::new(f64::from(x), f64::from(y), f64::from(z))
+    }
+
+    /// Calls `visit` with the nodes of every tetrahedron of the self.
+    pub(in crate::mesh) fn for_each_tet(&self, mut visit: impl FnMut([usize; 4])) {
+        let [ni, nj, nk] = self.dims;
+        for k in 0..nk {
+            for j in 0..nj {
+                for i in 0..ni {
+                    for axis in 0..3 {
+                        let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
+                        let mut far = [i, j, k];
+                        far[axis] += 1;
+                        let mut last = far;
+                        last[b] += 1;
+                        last[c] += 1;
+                        if (0..3).any(|a| last[a] >= self.dims[a]) {
+                            continue;
+                        }
+                        // Two neighbouring cube centres and, around the edge between them, the square's corners.
+                        let corner = |on_b: usize, on_c: usize| {
+                            let mut place = far;
+                            place[b] += on_b;
+                            place[c] += on_c;
+                            self.node(place, false)
+                        };
+                        let ring = [corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)];
+                        let ends = [self.node([i, j, k], true), self.node(far, true)];
+                        for at in 0..4 {
+                            visit([ends[0], ends[1], ring[at], ring[(at + 1) % 4]]);
+                        }
+                    }
+                }
+            }
+        }
     }
 
     /// Whether a node is at least `layers` layers away from the lattice's border. From 1 on all its

@@ -228,37 +228,7 @@ impl Adaptation {
         for _ in 0..SWAP_SWEEPS {
             let mut done = 0;
             for v in 0..self.edit.mesh().n_vertices() as u32 {
-                for side in 0..3 {
-                    if !self.edit.has_vertex(v) || self.edit.mesh().neighbours[v as usize][side] < v {
-                        continue;
-                    }
-                    let own = self.edit.mesh().cells[v as usize];
-                    let other = self.edit.mesh().neighbours[v as usize][side];
-                    let far = self.edit.mesh().cells[other as usize]
-                        .into_iter()
-                        .find(|c| !own.contains(c))
-                        .unwrap_or(own[side]);
-                    let losing = [own[(side + 1) % 3], own[(side + 2) % 3]];
-                    let gaining = [own[side], far];
-                    let off = |c: u32, change: i64| (sides[c as usize] as i64 - 6 + change).pow(2);
-                    let gain = |change: i64, cells: [u32; 2]| {
-                        cells.iter().map(|&c| off(c, 0) - off(c, change)).sum::<i64>()
-                    };
-                    if losing.iter().chain(&gaining).any(|&c| self.is_frozen(c)) {
-                        continue;
-                    }
-                    if gain(-1, losing) + gain(1, gaining) <= 0
-                        || !swap_keeps_normals(self.edit.mesh(), losing, gaining)
-                        || self.edit.swap_cells(v, side).is_none()
-                    {
-                        continue;
-                    }
-                    if self.edit.swap_edge(v, side) {
-                        losing.iter().for_each(|&c| sides[c as usize] -= 1);
-                        gaining.iter().for_each(|&c| sides[c as usize] += 1);
-                        done += 1;
-                    }
-                }
+                done += (0..3).filter(|&side| self.try_swap(v, side, &mut sides)).count();
             }
             total += done;
             if done == 0 {
@@ -266,6 +236,28 @@ impl Adaptation {
             }
         }
         self.report.n_swapped += total;
+    }
+
+    /// Swaps an edge, seen from its lower vertex, if that brings `sides` nearer to six. Says whether it was done.
+    fn try_swap(&mut self, v: u32, side: usize, sides: &mut [usize]) -> bool {
+        let mesh = self.edit.mesh();
+        if !self.edit.has_vertex(v) || mesh.neighbours[v as usize][side] < v {
+            return false;
+        }
+        let (x, a, b, y) = self.edit.cells_at(v, side, mesh.neighbours[v as usize][side]);
+        let (losing, gaining) = ([a, b], [x, y]);
+        let off = |c: u32, change: i64| (sides[c as usize] as i64 - 6 + change).pow(2);
+        let gain =
+            |change: i64, cells: [u32; 2]| cells.iter().map(|&c| off(c, 0) - off(c, change)).sum::<i64>();
+        let swapped = !losing.iter().chain(&gaining).any(|&c| self.is_frozen(c))
+            && gain(-1, losing) + gain(1, gaining) > 0
+            && swap_keeps_normals(mesh, losing, gaining)
+            && self.edit.swap_edge(v, side);
+        if swapped {
+            losing.iter().for_each(|&c| sides[c as usize] -= 1);
+            gaining.iter().for_each(|&c| sides[c as usize] += 1);
+        }
+        swapped
     }
 }
 

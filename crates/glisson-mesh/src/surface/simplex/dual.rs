@@ -20,17 +20,13 @@ pub fn following_dual(mesh: &SimplexMesh) -> TriMesh {
     let normals = vertex_normals(mesh);
     let mut dual = mesh.dual();
     for _ in 0..ROUNDS {
-        let mut moves = vec![(DVec3::ZERO, 0.0); mesh.n_cells()];
-        for v in 0..mesh.n_vertices() {
+        let gap_m = |v: usize| {
             let centre_m = dual.corners_m(v).into_iter().sum::<DVec3>() / 3.0;
-            let gap_m = normals[v].dot(mesh.positions_m()[v] - centre_m);
-            for cell in mesh.cells()[v] {
-                let sum = &mut moves[cell as usize];
-                *sum = (sum.0 + gap_m * normals[v], sum.1 + 1.0);
-            }
-        }
-        for (position, (sum, n)) in dual.positions_m.iter_mut().zip(moves) {
-            *position += sum / n;
+            normals[v].dot(mesh.positions_m()[v] - centre_m) * normals[v]
+        };
+        let gaps_m: Vec<DVec3> = (0..mesh.n_vertices()).map(gap_m).collect();
+        for (position, move_m) in dual.positions_m.iter_mut().zip(mesh.cell_means(&gaps_m)) {
+            *position += move_m;
         }
     }
     dual

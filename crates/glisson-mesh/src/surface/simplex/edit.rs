@@ -12,7 +12,6 @@
 //! Source: H. Delingette 1999, doi 10.1023/A:1008157432188.
 
 use super::mesh::SimplexMesh;
-use crate::math::DVec3;
 
 const REMOVED: u32 = u32::MAX;
 
@@ -225,11 +224,6 @@ impl SimplexEdit {
         true
     }
 
-    /// Moves a vertex.
-    pub fn place_vertex(&mut self, vertex: u32, position_m: DVec3) {
-        self.mesh.positions_m[vertex as usize] = position_m;
-    }
-
     /// The mesh without holes, vertices and cells in the order they had.
     pub fn finish(self) -> SimplexMesh {
         let number = |there: Vec<bool>| {
@@ -263,7 +257,7 @@ impl SimplexEdit {
     }
 
     /// The cells around an edge: at the end `vertex`, on its two sides, at the other end.
-    fn cells_at(&self, vertex: u32, side: usize, other: u32) -> (u32, u32, u32, u32) {
+    pub(super) fn cells_at(&self, vertex: u32, side: usize, other: u32) -> (u32, u32, u32, u32) {
         let own = self.mesh.cells[vertex as usize];
         let back = place_of(&self.mesh.neighbours[other as usize], vertex);
         (own[side], own[(side + 1) % 3], own[(side + 2) % 3], self.mesh.cells[other as usize][back])

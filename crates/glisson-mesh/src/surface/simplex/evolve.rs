@@ -3,8 +3,8 @@
 //! the same positions: the same bits at any number of threads.
 
 use super::external::Attraction;
-use super::geometry::vertex_normals;
-use super::internal::{Smoothness, Spacing, internal_forces_m};
+use super::geometry::vertex_shapes;
+use super::internal::{Smoothness, Spacing, forces_of_shapes_m};
 use super::mesh::SimplexMesh;
 use super::neighbourhood::Neighbourhoods;
 use crate::math::DVec3;
@@ -64,15 +64,16 @@ impl Deformation {
         law: &DeformationLaw,
         attraction: Option<&Attraction<'_>>,
     ) -> DeformationStep {
-        let internal_m = internal_forces_m(mesh, &self.within, &law.smoothness, law.spacing);
-        let normals = vertex_normals(mesh);
+        let shapes = vertex_shapes(mesh);
+        let internal_m = forces_of_shapes_m(mesh, &shapes, &self.within, &law.smoothness, law.spacing);
         let at_m = mesh.positions_m();
         let moved = |v: usize| {
-            let offset_m = attraction.and_then(|a| a.offset_m(at_m[v], normals[v]));
+            let normal = shapes[v].map_or(DVec3::ZERO, |(circle, _)| circle.normal);
+            let offset_m = attraction.and_then(|a| a.offset_m(at_m[v], normal));
             let distance_m = offset_m.unwrap_or(0.0);
             let certainty = 1.0 + (distance_m / law.data_uncertainty_m).powi(2);
             let external = law.external * certainty;
-            let external_m = external.min(LARGEST_EXTERNAL.max(law.external)) * distance_m * normals[v];
+            let external_m = external.min(LARGEST_EXTERNAL.max(law.external)) * distance_m * normal;
             let inertia_m = (1.0 - law.damping) * (at_m[v] - self.before_m[v]);
             let step_m = inertia_m + law.internal / certainty * internal_m[v] + external_m;
             let step_m = step_m.clamp_length_max(law.largest_move_m);

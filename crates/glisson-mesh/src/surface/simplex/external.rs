@@ -5,6 +5,7 @@
 
 use super::error::SimplexError;
 use crate::image::filter::gaussian;
+use crate::image::resample::VoxelBox;
 use crate::image::{Volume, VoxelGrid};
 use crate::math::DVec3;
 use crate::surface::TriMesh;
@@ -69,32 +70,17 @@ impl MaskBorder {
         if !(reach_m > 0.0 && reach_m.is_finite()) {
             return wrong("reach of the external force [m]", reach_m, "positive and finite");
         }
-        let (mut low, mut high) = ([usize::MAX; 3], [0usize; 3]);
-        for index in (0..mask.len()).filter(|&v| mask[v]) {
-            let voxel = grid.voxel(index);
-            for axis in 0..3 {
-                low[axis] = low[axis].min(voxel[axis]);
-                high[axis] = high[axis].max(voxel[axis]);
-            }
-        }
-        if low[0] == usize::MAX {
+        let Some(part) = VoxelBox::around(grid, mask, 0.0) else {
             return wrong("voxels of the mask", 0.0, "at least 1");
-        }
-        // As many empty layers around the mask's box as the Gaussian reaches.
+        };
+        // As many empty layers around the mask's box as the Gaussian reaches, outside the grid too.
         let margin = [0, 1, 2].map(|a| (4.0 * smoothing_m / grid.spacing_m[a]).ceil() as usize + 2);
-        let dims = [0, 1, 2].map(|a| high[a] - low[a] + 1 + 2 * margin[a]);
-        let corner = [0, 1, 2].map(|a| low[a] as f64 - margin[a] as f64);
+        let dims = [0, 1, 2].map(|a| part.dims[a] + 2 * margin[a]);
+        let corner = [0, 1, 2].map(|a| part.first[a] as f64 - margin[a] as f64);
         let cut = VoxelGrid { dims, origin_m: grid.position_m(DVec3::from_array(corner)), ..grid.clone() };
         let mut values = vec![0f32; cut.n_voxels()];
-        for k in low[2]..=high[2] {
-            for j in low[1]..=high[1] {
-                let to = cut.index([margin[0], j + margin[1] - low[1], k + margin[2] - low[2]]);
-                let from = grid.index([low[0], j, k]);
-                for i in 0..=high[0] - low[0] {
-                    values[to + i] = f32::from(u8::from(mask[from + i]));
-                }
-            }
-        }
+        let solid: Vec<f32> = part.cut(grid, mask).into_iter().map(|m| f32::from(u8::from(m))).collect();
+        VoxelBox { first: margin, dims: part.dims }.paste(&cut, &solid, &mut values);
         let smooth = Volume { values: gaussian(&cut, &values, smoothing_m), grid: cut.clone() };
         Ok(Self { smooth, sharp: Volume { grid: cut, values }, reach_m })
     }

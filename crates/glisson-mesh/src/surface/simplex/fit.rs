@@ -11,6 +11,8 @@
 
 use std::ops::ControlFlow;
 
+use rayon::prelude::*;
+
 use super::adapt::{AdaptParams, AdaptReport, adapt};
 use super::dual::following_dual;
 use super::error::SimplexError;
@@ -26,13 +28,11 @@ use super::mesh::SimplexMesh;
 use super::neighbourhood::Neighbourhoods;
 use super::untangle::{crossing_vertices, return_from_crossings, smooth_crossings_away, surroundings};
 use crate::image::VoxelGrid;
-use crate::image::topology::repair_to_ball;
 use crate::math::Aabb;
 use crate::surface::TriMesh;
 use crate::surface::check::check_closed;
 use crate::surface::decimate::decimate;
-use crate::surface::error::SurfaceError;
-use crate::surface::extract::{SurfaceParams, surface_of_mask};
+use crate::surface::extract::{SurfaceParams, surface_and_solid};
 use crate::surface::intersect::self_intersections;
 use crate::surface::smooth::offset_to_volume;
 
@@ -151,11 +151,11 @@ const DATA_UNCERTAINTY_SPACINGS: f64 = 0.5;
 const LARGEST_VOLUME_OFFSET_SPACINGS: f64 = 0.3;
 
 /// A simplex mesh fitted to the voxels of `mask` (`grid.n_voxels()` values, i fastest), in the patient frame.
-/// Pieces, cavities and tunnels are repaired first, as by [`surface_of_mask`]. `progress` is told of each step
+/// Pieces, cavities and tunnels are repaired first, as by [`surface_of_mask`](crate::surface::extract::surface_of_mask). `progress` is told of each step
 /// and may stop the fit.
 ///
 /// # Errors
-/// [`SimplexError`]: what [`surface_of_mask`] and [`decimate`] refuse, parameters out of range, crossings that
+/// [`SimplexError`]: what [`surface_of_mask`](crate::surface::extract::surface_of_mask) and [`decimate`] refuse, parameters out of range, crossings that
 /// cannot be taken away, [`SimplexError::Stopped`].
 pub fn fit_simplex(
     grid: &VoxelGrid,
@@ -171,11 +171,7 @@ pub fn fit_simplex(
         cap_at_border: params.cap_at_border,
         largest_repair: params.largest_repair,
     };
-    let (border, extracted) = surface_of_mask(grid, mask, &stairs)?;
-    let mut solid = mask.to_vec();
-    if extracted.repair.voxels_added + extracted.repair.voxels_removed > 0 {
-        repair_to_ball(grid, &mut solid).map_err(SurfaceError::from)?;
-    }
+    let (border, extracted, solid) = surface_and_solid(grid, mask, &stairs)?;
     let spacing_m = grid.spacing_m.max_element();
     let smoothing_m = params.mask_smoothing_spacings * spacing_m;
     let mask_border = MaskBorder::new(grid, &solid, smoothing_m, REACH_SPACINGS * spacing_m)?;
@@ -332,7 +328,7 @@ impl Fit<'_> {
     fn adapt(&self, simplex: SimplexMesh, target_cells: usize, done: &mut Done) -> SimplexMesh {
         let curvatures = smooth_curvatures(&simplex, self.params.rigidity);
         let normals = vertex_normals(&simplex);
-        let places = simplex.positions_m().iter().zip(&normals);
+        let places = simplex.positions_m().par_iter().zip(&normals);
         let offsets_m: Vec<f64> =
             places.map(|(&p, &n)| self.attraction.offset_m(p, n).unwrap_or(self.spacing_m)).collect();
         let adapt_params =
@@ -348,14 +344,11 @@ impl Fit<'_> {
                 return next;
             }
             let around = surroundings(&next, &crossing, KEPT_RINGS);
-            let box_of = |v: &u32| {
-                let cells = next.cells()[*v as usize];
-                let corners_m = cells.map(|c| next.contour(c)).concat();
-                Aabb::of_points(
-                    &corners_m.iter().map(|&w| next.positions_m()[w as usize]).collect::<Vec<_>>(),
-                )
+            let box_of = |&v: &u32| {
+                let corners = next.cells()[v as usize].into_iter().flat_map(|c| next.contour(c));
+                corners.fold(Aabb::EMPTY, |b, w| b.including(next.positions_m()[w as usize]))
             };
-            let boxes: Vec<Aabb> = crossing.iter().chain(&around).map(box_of).collect();
+            let boxes: Vec<Aabb> = around.iter().map(box_of).collect();
             let n = simplex.n_vertices() as u32;
             let is_near = |v: &u32| boxes.iter().any(|b| b.contains(simplex.positions_m()[*v as usize]));
             kept.extend((0..n).filter(is_near));
@@ -365,7 +358,7 @@ impl Fit<'_> {
 
     fn finish(&self, simplex: SimplexMesh, done: &Done) -> Result<SimplexFit, SimplexError> {
         let mut mesh = following_dual(&simplex);
-        let n_untangled = done.n_untangled + smooth_crossings_away(&mut mesh)?;
+        let n_smoothed = if done.is_clear { 0 } else { smooth_crossings_away(&mut mesh)? };
         let volume_offset_m = self.restore_volume(&mut mesh);
         let topology = check_closed(&mesh)?;
         simplex.check()?;
@@ -383,7 +376,7 @@ impl Fit<'_> {
             volume_m3: topology.volume_m3,
             volume_offset_m,
             n_without_data: done.n_without_data,
-            n_untangled,
+            n_untangled: done.n_untangled + n_smoothed,
             adapted: done.adapted,
         };
         Ok(SimplexFit { simplex, mesh, report })

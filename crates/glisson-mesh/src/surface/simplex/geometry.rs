@@ -38,8 +38,6 @@ pub struct VertexShape {
     pub metric: [f64; 3],
     /// Height over the neighbours' plane h [m], positive outward.
     pub height_m: f64,
-    /// Distance d of the foot from the circle's centre [m].
-    pub foot_distance_m: f64,
     /// Simplex angle phi [rad].
     pub simplex_angle_rad: f64,
     /// Mean curvature H [1/m], positive where the surface is convex.
@@ -83,7 +81,6 @@ impl NeighbourCircle {
         VertexShape {
             metric: [1.0 - second - third, second, third],
             height_m,
-            foot_distance_m,
             simplex_angle_rad,
             mean_curvature_per_m: libm::sin(simplex_angle_rad) / self.radius_m,
         }
@@ -113,10 +110,22 @@ pub fn vertex_shape(mesh: &SimplexMesh, vertex: usize) -> Option<(NeighbourCircl
     Some((circle, circle.shape_of(mesh.positions_m()[vertex])))
 }
 
+/// Circle and shape of every vertex of a mesh.
+pub(super) type VertexShapes = Vec<Option<(NeighbourCircle, VertexShape)>>;
+
+/// [`vertex_shape`] of all vertices.
+pub(super) fn vertex_shapes(mesh: &SimplexMesh) -> VertexShapes {
+    (0..mesh.n_vertices()).into_par_iter().map(|v| vertex_shape(mesh, v)).collect()
+}
+
+/// The mean curvatures in `shapes` [1/m].
+pub(super) fn mean_curvatures_of(shapes: &[Option<(NeighbourCircle, VertexShape)>]) -> Vec<f64> {
+    shapes.iter().map(|s| s.map_or(0.0, |(_, shape)| shape.mean_curvature_per_m)).collect()
+}
+
 /// Mean curvature at each vertex [1/m], positive where convex; 0 where the neighbours are on a line.
 pub fn mean_curvatures_per_m(mesh: &SimplexMesh) -> Vec<f64> {
-    let of = |v| vertex_shape(mesh, v).map_or(0.0, |(_, shape)| shape.mean_curvature_per_m);
-    (0..mesh.n_vertices()).into_par_iter().map(of).collect()
+    mean_curvatures_of(&vertex_shapes(mesh))
 }
 
 /// Outward unit normal at each vertex; zero where the neighbours are on a line.

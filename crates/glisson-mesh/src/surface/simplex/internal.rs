@@ -11,7 +11,7 @@
 //! same, on one whose cells differ in size the angle is proportional to the size and its mean would bend the
 //! surface where the size changes.
 
-use super::geometry::NeighbourCircle;
+use super::geometry::{VertexShapes, mean_curvatures_of, vertex_shapes};
 use super::mesh::SimplexMesh;
 use super::neighbourhood::Neighbourhoods;
 use crate::math::DVec3;
@@ -64,19 +64,26 @@ pub fn internal_forces_m(
     smoothness: &Smoothness,
     spacing: Spacing,
 ) -> Vec<DVec3> {
-    let n = mesh.n_vertices();
-    let circles: Vec<Option<NeighbourCircle>> =
-        (0..n).into_par_iter().map(|v| NeighbourCircle::through(mesh.neighbours_m(v))).collect();
+    forces_of_shapes_m(mesh, &vertex_shapes(mesh), within, smoothness, spacing)
+}
+
+/// [`internal_forces_m`] with the shapes of the vertices at hand.
+pub(super) fn forces_of_shapes_m(
+    mesh: &SimplexMesh,
+    shapes: &VertexShapes,
+    within: &Neighbourhoods,
+    smoothness: &Smoothness,
+    spacing: Spacing,
+) -> Vec<DVec3> {
     let needs_means = matches!(smoothness, Smoothness::Curvature { .. })
         || matches!(spacing, Spacing::TowardsCurvature { .. });
-    let means_per_m = if needs_means { mean_curvatures(mesh, &circles, within) } else { Vec::new() };
+    let means_per_m = if needs_means { within.means(&mean_curvatures_of(shapes)) } else { Vec::new() };
     let force = |v: usize| {
         let at_m = mesh.positions_m()[v];
-        let Some(circle) = &circles[v] else {
+        let Some((circle, shape)) = &shapes[v] else {
             // Neighbours on a line: to their middle, where there will be a plane.
             return mesh.neighbours_m(v).into_iter().sum::<DVec3>() / 3.0 - at_m;
         };
-        let shape = circle.shape_of(at_m);
         let metric = match spacing {
             Spacing::Free => shape.metric,
             Spacing::Even => [1.0 / 3.0; 3],
@@ -96,7 +103,7 @@ pub fn internal_forces_m(
         };
         foot_m + height_m * circle.normal - at_m
     };
-    (0..n).into_par_iter().map(force).collect()
+    (0..mesh.n_vertices()).into_par_iter().map(force).collect()
 }
 
 /// Metric parameters of a vertex whose neighbours have these absolute curvatures [1/m]: positive, with sum 1.
@@ -108,14 +115,4 @@ pub fn metric_towards_curvature(curvatures_per_m: [f64; 3], gain: f64) -> [f64; 
     let metric = curvatures_per_m.map(|h| (1.0 / 3.0 + gain * (h - mean) / mean).max(LEAST_METRIC));
     let sum: f64 = metric.iter().sum();
     metric.map(|e| e / sum)
-}
-
-fn mean_curvatures(
-    mesh: &SimplexMesh,
-    circles: &[Option<NeighbourCircle>],
-    within: &Neighbourhoods,
-) -> Vec<f64> {
-    let own = |v: usize| circles[v].map_or(0.0, |c| c.shape_of(mesh.positions_m()[v]).mean_curvature_per_m);
-    let own: Vec<f64> = (0..circles.len()).into_par_iter().map(own).collect();
-    within.means(&own)
 }

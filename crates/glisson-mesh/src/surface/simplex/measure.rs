@@ -29,7 +29,7 @@ pub fn surface_distances(from: &TriMesh, to: &TriMesh) -> DistanceSummary {
         let weight = 0.125 * (b - a).cross(c - a).length();
         let quarter = |p: Option<DVec3>| {
             let at_m = p.map_or(centre_m, |corner_m| 0.5 * (corner_m + centre_m));
-            let distance_m = tree.closest(to, at_m, f64::MAX.sqrt() / 2.0).map_or(0.0, |(_, _, d)| d);
+            let distance_m = tree.closest(to, at_m, f64::INFINITY).map_or(0.0, |(_, _, d)| d);
             (distance_m, weight)
         };
         [quarter(None), quarter(Some(a)), quarter(Some(b)), quarter(Some(c))]

@@ -4,10 +4,12 @@
 //! that does not touch its edge to neighbour `k`. The three cells of a vertex are therefore the corners of its
 //! triangle in the dual triangulation, in the same orientation.
 
+use std::ops::{Add, Div};
+
 use super::error::SimplexError;
 use crate::math::DVec3;
 use crate::surface::TriMesh;
-use crate::surface::check::{check_numbers, sorted_sides};
+use crate::surface::check::{check_edge, check_numbers, sorted_sides};
 use crate::surface::error::{Place, SurfaceError};
 
 /// A closed, oriented surface whose vertices all have three neighbours.
@@ -47,37 +49,15 @@ impl SimplexMesh {
         let sides = sorted_sides(mesh);
         let edges = || sides.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high));
         for edge in edges() {
-            let vertices = [edge[0].low, edge[0].high];
-            let place = Place(
-                0.5 * (mesh.positions_m[vertices[0] as usize] + mesh.positions_m[vertices[1] as usize]),
-            );
-            let triangles = [edge[0].triangle as usize, edge.last().map_or(0, |s| s.triangle as usize)];
-            match *edge {
-                [a, b] if a.ascending != b.ascending => {
-                    for (s, t) in [(a, b), (b, a)] {
-                        let own = mesh.triangles[s.triangle as usize];
-                        for k in 0..3 {
-                            let (from, to) = (own[(k + 1) % 3], own[(k + 2) % 3]);
-                            if (from.min(to), from.max(to)) == (s.low, s.high) {
-                                neighbours[s.triangle as usize][k] = t.triangle;
-                            }
-                        }
+            let n_open = || edges().filter(|e| e.len() == 1).count();
+            let [a, b] = check_edge(mesh, edge, n_open)?;
+            for (s, t) in [(a, b), (b, a)] {
+                let own = mesh.triangles[s.triangle as usize];
+                for k in 0..3 {
+                    let (from, to) = (own[(k + 1) % 3], own[(k + 2) % 3]);
+                    if (from.min(to), from.max(to)) == (s.low, s.high) {
+                        neighbours[s.triangle as usize][k] = t.triangle;
                     }
-                }
-                [_, _] => {
-                    return Err(SurfaceError::InconsistentOrientation { vertices, triangles, place }.into());
-                }
-                [_] => {
-                    let n_open = edges().filter(|e| e.len() == 1).count();
-                    return Err(
-                        SurfaceError::OpenEdge { vertices, triangle: triangles[0], place, n_open }.into()
-                    );
-                }
-                _ => {
-                    let n_triangles = edge.len();
-                    return Err(
-                        SurfaceError::NonManifoldEdge { vertices, triangles, n_triangles, place }.into()
-                    );
                 }
             }
         }
@@ -168,19 +148,15 @@ impl SimplexMesh {
 
     /// Mean of the vertices of each cell [m].
     pub fn cell_centres_m(&self) -> Vec<DVec3> {
-        let mut sums = vec![(DVec3::ZERO, 0.0); self.n_cells()];
-        for (cells, &p) in self.cells.iter().zip(&self.positions_m) {
-            for &c in cells {
-                let sum = &mut sums[c as usize];
-                *sum = (sum.0 + p, sum.1 + 1.0);
-            }
-        }
-        sums.into_iter().map(|(sum, n)| sum / n).collect()
+        self.cell_means(&self.positions_m)
     }
 
-    /// Mean over the vertices of each cell of a value a vertex has.
-    pub fn cell_means(&self, of_vertices: &[f64]) -> Vec<f64> {
-        let mut sums = vec![(0.0, 0.0); self.n_cells()];
+    /// Mean over the vertices of each cell of what each vertex has.
+    pub fn cell_means<T>(&self, of_vertices: &[T]) -> Vec<T>
+    where
+        T: Copy + Default + Add<Output = T> + Div<f64, Output = T>,
+    {
+        let mut sums = vec![(T::default(), 0.0); self.n_cells()];
         for (cells, &x) in self.cells.iter().zip(of_vertices) {
             for &c in cells {
                 let sum = &mut sums[c as usize];
@@ -206,15 +182,9 @@ impl SimplexMesh {
         areas_m2
     }
 
-    /// The dual triangulation over given places of the cells: triangle `v` for vertex `v`, vertex `c` for
-    /// cell `c`.
-    pub fn dual_over(&self, cell_places_m: Vec<DVec3>) -> TriMesh {
-        TriMesh { positions_m: cell_places_m, triangles: self.cells.clone() }
-    }
-
-    /// The dual triangulation over the centres of the cells.
+    /// The dual triangulation over the centres of the cells: triangle `v` for vertex `v`, vertex `c` for cell `c`.
     pub fn dual(&self) -> TriMesh {
-        self.dual_over(self.cell_centres_m())
+        TriMesh { positions_m: self.cell_centres_m(), triangles: self.cells.clone() }
     }
 
     /// Checks that neighbours are mutual, contours closed, cells of at least three vertices and that any two

@@ -9,7 +9,7 @@ use super::mesh::SimplexMesh;
 use crate::math::DVec3;
 use crate::surface::TriMesh;
 use crate::surface::error::{Place, SurfaceError};
-use crate::surface::intersect::self_intersections;
+use crate::surface::intersect::{Crossings, self_intersections};
 use crate::surface::smooth::EdgeGraph;
 
 /// Rounds of going back; from [`ALL_THE_WAY`] on the surroundings go all the way.
@@ -31,15 +31,24 @@ pub fn crossing_vertices(mesh: &SimplexMesh) -> Vec<u32> {
 
 /// `vertices` and those within so many edges of them, ascending.
 pub fn surroundings(mesh: &SimplexMesh, vertices: &[u32], n_rings: usize) -> Vec<u32> {
-    let mut reached = vec![false; mesh.n_vertices()];
-    let mut ring: Vec<u32> = vertices.to_vec();
+    rings_around(mesh.n_vertices(), vertices.to_vec(), n_rings, |v| &mesh.neighbours()[v])
+}
+
+/// `ring` and what is within `n_rings` steps to neighbours of it, of `n` vertices, ascending.
+fn rings_around<'a>(
+    n: usize,
+    mut ring: Vec<u32>,
+    n_rings: usize,
+    neighbours: impl Fn(usize) -> &'a [u32],
+) -> Vec<u32> {
+    let mut reached = vec![false; n];
     for distance in 0..=n_rings {
         ring.retain(|&v| !std::mem::replace(&mut reached[v as usize], true));
         if distance < n_rings {
-            ring = ring.iter().flat_map(|&v| mesh.neighbours()[v as usize]).collect();
+            ring = ring.iter().flat_map(|&v| neighbours(v as usize)).copied().collect();
         }
     }
-    (0..mesh.n_vertices() as u32).filter(|&v| reached[v as usize]).collect()
+    (0..n as u32).filter(|&v| reached[v as usize]).collect()
 }
 
 /// Moves vertices back towards `safe_m`, where the dual had no crossings, until it has none. Answers how many
@@ -68,26 +77,22 @@ pub fn return_from_crossings(mesh: &mut SimplexMesh, safe_m: &[DVec3]) -> (usize
 /// # Errors
 /// [`SurfaceError::Tangled`] when that does not end.
 pub fn smooth_crossings_away(mesh: &mut TriMesh) -> Result<usize, SurfaceError> {
-    let mut moved = vec![false; mesh.positions_m.len()];
+    let n = mesh.positions_m.len();
+    let mut moved = vec![false; n];
     let mut graph = None;
+    let mut crossings = Crossings::of(mesh);
     for round in 0..=MOST_SMOOTHINGS {
-        let pairs = self_intersections(mesh, usize::MAX);
+        let pairs = &crossings.pairs;
         let Some(first) = pairs.first() else { break };
         if round == MOST_SMOOTHINGS {
             let place = Place(mesh.corners_m(first[0] as usize)[0]);
             return Err(SurfaceError::Tangled { stage: "fitting", n: pairs.len(), place });
         }
         let graph = graph.get_or_insert_with(|| EdgeGraph::of_mesh(mesh));
-        let mut around: Vec<u32> = pairs.iter().flatten().flat_map(|&t| mesh.triangles[t as usize]).collect();
-        for _ in 0..=round {
-            around.sort_unstable();
-            around.dedup();
-            let beside: Vec<u32> =
-                around.iter().flat_map(|&v| graph.neighbours(v as usize)).copied().collect();
-            around.extend(beside);
-        }
-        around.sort_unstable();
-        around.dedup();
+        let corners = pairs.iter().flatten().flat_map(|&t| mesh.triangles[t as usize]).collect();
+        let around = rings_around(n, corners, round + 1, |v| graph.neighbours(v));
+        let mut is_around = vec![false; n];
+        around.iter().for_each(|&v| is_around[v as usize] = true);
         around.iter().for_each(|&v| moved[v as usize] = true);
         for _ in 0..SWEEPS {
             let middle = |v: u32| {
@@ -99,6 +104,7 @@ pub fn smooth_crossings_away(mesh: &mut TriMesh) -> Result<usize, SurfaceError> 
                 mesh.positions_m[v as usize] = middle;
             }
         }
+        crossings.follow(mesh, &is_around);
     }
     Ok(moved.into_iter().filter(|&m| m).count())
 }

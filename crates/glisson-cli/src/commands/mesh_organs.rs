@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use glisson::image::LabelMap;
-use glisson::mesh::files::{FieldPlace, FieldValues, VtuField, write_vtu_with};
+use glisson::mesh::files::{FieldPlace, FieldValues, LABEL_FIELD, VtuField, write_vtu_with};
 use glisson::mesh::organs::{OrganMesh, OrganMeshParams, OrganSize, mesh_organs};
 use glisson::surface::files::write_surface;
 
@@ -73,7 +73,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     bar.finish_and_clear();
     make_folder_of(&args.output)?;
     let label_of: Vec<i32> = organs.label_of.iter().map(|&label| i32::from(label)).collect();
-    let field = VtuField { name: "label", place: FieldPlace::Tets, values: FieldValues::Integers(&label_of) };
+    let field =
+        VtuField { name: LABEL_FIELD, place: FieldPlace::Tets, values: FieldValues::Integers(&label_of) };
     write_vtu_with(&args.output, &organs.mesh, &[field])?;
     if let Some(folder) = &args.surfaces {
         write_surfaces(folder, &map, &organs)?;

@@ -332,6 +332,8 @@ pub struct ImportReport {
     pub n_loose_nodes_dropped: usize,
     /// Cells that are not volumes and were passed over: kind and number, by kind.
     pub skipped_cells: Vec<(&'static str, usize)>,
+    /// The label of each tetrahedron; empty where the file has none.
+    pub label_of: Vec<i64>,
     /// What is wrong with the mesh as it is handed over.
     pub faults: MeshFaults,
 }

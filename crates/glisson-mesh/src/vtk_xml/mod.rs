@@ -182,6 +182,10 @@ fn child<'a, 'x>(parent: Node<'a, 'x>, tag: &str, place: &str) -> Result<Node<'a
         .ok_or_else(|| FormatError::named(place, format!("no element {tag}"), "one"))
 }
 
+fn named_array<'a, 'x>(parent: Node<'a, 'x>, name: &str) -> Option<Node<'a, 'x>> {
+    parent.children().find(|n| n.has_tag_name("DataArray") && n.attribute("Name") == Some(name))
+}
+
 /// A count in an attribute of an element.
 pub(crate) fn count_attribute(node: Node<'_, '_>, name: &str, place: &str) -> Result<usize, FormatError> {
     let found = node.attribute(name).unwrap_or("");
@@ -227,11 +231,26 @@ impl VtkArrays<'_> {
         name: &str,
         place: &str,
     ) -> Result<Vec<i64>, FormatError> {
-        let array = child(piece, tag, place)?
-            .children()
-            .find(|n| n.has_tag_name("DataArray") && n.attribute("Name") == Some(name))
+        let array = named_array(child(piece, tag, place)?, name)
             .ok_or_else(|| FormatError::named(place, format!("no array {name} in {tag}"), "one"))?;
         self.integers(array, &format!("{place}, array {name}"))
+    }
+
+    /// The whole numbers that a piece has on its cells under `name`; none where it has no such field of whole numbers.
+    pub(crate) fn cell_field(
+        &self,
+        piece: Node<'_, '_>,
+        name: &str,
+        place: &str,
+    ) -> Result<Option<Vec<i64>>, FormatError> {
+        let fields = piece.children().find(|n| n.has_tag_name("CellData"));
+        let array = fields.and_then(|fields| named_array(fields, name));
+        let is_whole =
+            |array: &Node<'_, '_>| array.attribute("type").is_some_and(|name| name.contains("Int"));
+        array
+            .filter(is_whole)
+            .map(|array| self.integers(array, &format!("{place}, field {name}")))
+            .transpose()
     }
 
     fn positions(&self, array: Node<'_, '_>, place: &str) -> Result<Vec<DVec3>, FormatError> {

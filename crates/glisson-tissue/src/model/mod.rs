@@ -40,7 +40,7 @@ pub use error::{ModelCause, ModelError};
 pub use explicit::{ExplicitError, Inertia, Integration};
 pub use level_of_detail::LevelOfDetail;
 pub use local_model::{LocalModel, LocalWork};
-pub use organ_body::{BodyZone, MeasuredSample, OrganBody};
+pub use organ_body::{BodyZone, MeasuredSample, OrganBody, TissueParts};
 pub use report::ModelReport;
 pub use row::{FollowedEdits, MakeCutModel, MakeModel, ModelMotion, ModelRow};
 pub use state_hash::StateHash;

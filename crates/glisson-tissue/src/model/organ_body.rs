@@ -10,6 +10,7 @@ use crate::material::{LawChoice, LinearElastic, PronySeries, PronyTerm};
 use crate::workers::{Sequential, SharedWorkers};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::{NodeId, TetMesh};
+use std::convert::Infallible;
 use std::iter::repeat_n;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -29,6 +30,15 @@ pub struct BodyZone {
     pub nodes: Vec<NodeId>,
     /// What moves it at first.
     pub law: ZoneLaw,
+}
+
+/// Tissues of parts of a body that are not the body's own.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TissueParts {
+    /// Elasticity of each. Their densities are not used: the body has one.
+    pub materials: Vec<LinearElastic>,
+    /// For each tetrahedron its part's number in `materials`; none where it is of the body's own tissue.
+    pub of_tet: Vec<Option<u16>>,
 }
 
 /// Curves measured on a compressed cylinder of the tissue.
@@ -51,6 +61,8 @@ pub struct OrganBody {
     pub mesh: TetMesh,
     /// Its elasticity at small strain, and its density.
     pub material: LinearElastic,
+    /// Parts of other tissue, if any.
+    pub tissue_parts: Option<TissueParts>,
     /// The material in words.
     pub material_text: String,
     /// The law of the models that have a choice; each its own when absent.
@@ -106,6 +118,7 @@ impl OrganBody {
             ),
             mesh,
             material,
+            tissue_parts: None,
             law: None,
             relaxation: Vec::new(),
             fibre: None,
@@ -166,6 +179,25 @@ impl OrganBody {
     /// The fibre of every tetrahedron, or none.
     pub(super) fn fibres(&self) -> Vec<Fibre> {
         self.fibre.iter().flat_map(|&fibre| repeat_n(fibre, self.mesh.tetrahedra.len())).collect()
+    }
+
+    /// What `of_tissue` makes of the elasticity: one value, or with parts of other tissue one for each tetrahedron. It is asked once
+    /// a tissue.
+    pub(super) fn of_tissues<T: Clone, E>(
+        &self,
+        of_tissue: impl Fn(&LinearElastic) -> Result<T, E>,
+    ) -> Result<Vec<T>, E> {
+        let own = of_tissue(&self.material)?;
+        let Some(parts) = &self.tissue_parts else { return Ok(vec![own]) };
+        let of_parts: Vec<T> = parts.materials.iter().map(of_tissue).collect::<Result<_, _>>()?;
+        let of_tet = |part: &Option<u16>| part.map_or(&own, |part| &of_parts[usize::from(part)]).clone();
+        Ok(parts.of_tet.iter().map(of_tet).collect())
+    }
+
+    /// The elasticity: of the whole, or of each tetrahedron.
+    pub(super) fn materials(&self) -> Vec<LinearElastic> {
+        let Ok(materials) = self.of_tissues(|material| Ok::<_, Infallible>(*material));
+        materials
     }
 
     /// How the stress relaxes, if it does.

@@ -19,6 +19,8 @@ pub struct ModelRow {
     pub follows_any_law: bool,
     /// Whether it knows fibres and the penalty on changes of volume.
     pub has_fibres: bool,
+    /// Whether parts may be of other tissue.
+    pub has_tissue_parts: bool,
     /// Whether its stress may relax.
     pub relaxes: bool,
     /// Whether it follows measured curves, without which it cannot be made.
@@ -81,6 +83,7 @@ impl ModelRow {
             laws,
             follows_any_law: false,
             has_fibres: false,
+            has_tissue_parts: false,
             relaxes: false,
             follows_curves: false,
             motion: ModelMotion::QuasiStatic,
@@ -174,7 +177,7 @@ impl ModelRow {
         if body.rest_stress_pa.is_empty() {
             return Ok(());
         }
-        match is_stable_under(&body.mesh, &body.material, &body.held_at_rest(), &body.rest_stress_pa) {
+        match is_stable_under(&body.mesh, &body.materials(), &body.held_at_rest(), &body.rest_stress_pa) {
             Ok(true) => Ok(()),
             Ok(false) => Err(ModelError::Buckles { model: self.name }),
             Err(error) => Err(ModelError::RestStress(error)),
@@ -186,6 +189,7 @@ impl ModelRow {
             (body.fibre.is_some() && !self.has_fibres, "fibres"),
             (body.volume_penalty_pa != 0.0 && !self.has_fibres, "penalties of volume changes"),
             (!body.relaxation.is_empty() && !self.relaxes, "relaxation terms"),
+            (body.tissue_parts.is_some() && !self.has_tissue_parts, "parts of other tissue"),
         ];
         match asked.into_iter().find(|(lacks, _)| *lacks) {
             Some((_, what)) => Err(self.lacks(what)),

@@ -5,6 +5,7 @@
 //!
 //! sum over tetrahedra of V S0 alpha_j = m_j g + ligaments, at every component that is not held.
 //!
+//! A body of several tissues gets the S0 of a body of one, which balances its weight as well.
 //! Adding S0 to the second Piola-Kirchhoff stress of any law adds just these forces at F = Id, so that the shape is at rest
 //! under every law. S0 is one of many such stresses, because a body can be in self-equilibrated tension; an image does not
 //! tell which one it is.
@@ -98,18 +99,19 @@ fn conditions_of(fixed: &[FixedNode]) -> BoundaryConditions {
 
 /// Whether the rest shape with this stress is stable under a law that is rotation invariant: whether K plus the stiffness of
 /// the stress, V (alpha_j . S0 alpha_k) Id, is positive definite. Tissue that is too soft for its weight buckles under
-/// compressive stress. Ligaments are not counted: they can only stabilize.
+/// compressive stress. Ligaments are not counted: they can only stabilize. `materials`: one, or one for each tetrahedron.
 ///
 /// # Errors
 /// [`SolveError`]: an unusable mesh, supports at nodes that do not exist, floating pieces, too little memory.
 pub fn is_stable_under(
     mesh: &TetMesh,
-    material: &LinearElastic,
+    materials: &[LinearElastic],
     fixed: &[FixedNode],
     stress_pa: &[RestStress],
 ) -> Result<bool, SolveError> {
     let edges = MeshEdges::of_mesh(mesh)?;
     let tensors = StiffnessTensors::assemble_with(mesh, &edges, |tet, gradients| {
+        let material = &materials[if materials.len() == 1 { 0 } else { tet.index() }];
         let mut stiffness = gradients.stiffness(material.lambda_pa(), material.mu_pa());
         stiffness.add_multiples(gradients.stress_stiffness_n_per_m(stress_pa[tet.index()]));
         stiffness

@@ -9,7 +9,7 @@ use glisson_tissue::model::kind::{MODELS, ModelKind, build_model, build_model_as
 use glisson_tissue::model::nonlinear_tensor_mass::Fibre;
 use glisson_tissue::model::{
     Attachment, DeformableModel, FollowedEdits, MeasuredSample, ModelError, ModelMotion, ModelRow, OrganBody,
-    StepAnswer,
+    StepAnswer, TissueParts,
 };
 use std::path::Path;
 
@@ -83,6 +83,21 @@ fn each_model_is_made_with_each_law_that_its_row_names() {
     });
 }
 
+fn half_of_softer_tissue(body: &OrganBody) -> TissueParts {
+    let OrganBody { mesh, material, .. } = body;
+    let young_modulus_pa = 0.5 * material.young_modulus_pa();
+    let softer = LinearElastic::from_young_poisson(
+        young_modulus_pa,
+        material.poisson_ratio(),
+        material.density_kg_per_m3(),
+    );
+    let n_tets = mesh.tetrahedra.len();
+    TissueParts {
+        materials: vec![softer.unwrap()],
+        of_tet: (0..n_tets).map(|t| (2 * t < n_tets).then_some(0)).collect(),
+    }
+}
+
 #[test]
 fn what_a_row_says_that_a_model_lacks_is_refused() {
     let fibre = Fibre { lambda_along_pa: 2e4, mu_along_pa: 8e3, direction: DVec3::X };
@@ -104,6 +119,11 @@ fn what_a_row_says_that_a_model_lacks_is_refused() {
                 row.relaxes,
                 "relaxation terms",
                 OrganBody { relaxation: vec![PronyTerm { share: 0.3, time_s: 0.1 }], ..body.clone() },
+            ),
+            (
+                row.has_tissue_parts,
+                "parts of other tissue",
+                OrganBody { tissue_parts: Some(half_of_softer_tissue(&body)), ..body.clone() },
             ),
         ];
         for (knows, what, body) in asked {

@@ -1,7 +1,8 @@
 //! From a scene to an organ at rest: reads the mesh, finds the material and what holds it.
 
 use super::bodies::BodySource;
-use super::organ::{MaterialSource, OrganSource};
+use super::material::{ElasticitySource, MaterialSource, TissuePartSource};
+use super::organ::OrganSource;
 use super::spec::Scene;
 use crate::contact::shapes::MeshShape;
 use crate::image::vessels::VesselFileError;
@@ -10,15 +11,16 @@ use crate::material::{LinearElastic, MaterialError};
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
 use crate::mesh::faults::{FaultAction, ImportPolicy};
-use crate::mesh::files::{MeshFileError, read_mesh_with};
+use crate::mesh::files::{LABEL_FIELD, MeshFileError, read_mesh_with};
 use crate::mesh::generate::MeshingError;
 use crate::model::precomputed::{self};
-use crate::model::{BodyZone, MeasuredSample, ModelError, OrganBody};
+use crate::model::{BodyZone, MeasuredSample, ModelError, OrganBody, TissueParts};
 use crate::solve::equilibrating_stress;
 use crate::surface::files::{SurfaceFileError, import_closed_surface};
 use crate::tool::{Tool, ToolShape};
 use crate::world::organ::OrganError;
 use crate::world::spec::{Ligament, Load, Region, Support, WorldSpec, attachments, fixed_nodes, nodes_in};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Why a scene gives no world.
@@ -34,6 +36,26 @@ pub enum BuildError {
         file: PathBuf,
         /// What is wrong with it.
         error: OrganError,
+    },
+    /// Parts of other tissue in a mesh without labels.
+    #[error(
+        "{}: found no labels of tetrahedra, [[organ.part]] needs them: the cell field `{LABEL_FIELD}` of a .vtu file, which \
+         `glisson mesh-organs` writes",
+        file.display()
+    )]
+    NoLabels {
+        /// The mesh file.
+        file: PathBuf,
+    },
+    /// A part that the mesh has not.
+    #[error("{}: no tetrahedron has the label {label} of [[organ.part]]; labels found: {found}", file.display())]
+    NoSuchLabel {
+        /// The mesh file.
+        file: PathBuf,
+        /// The label.
+        label: i64,
+        /// Those that are there.
+        found: String,
     },
     /// The surface of an instrument's tip.
     #[error(transparent)]
@@ -142,11 +164,54 @@ fn read_material(source: &MaterialSource) -> Result<(LinearElastic, String), Bui
     }
 }
 
-/// The mesh of an organ; its path is relative to `folder`.
-pub(super) fn read_organ_mesh(source: &OrganSource, folder: &Path) -> Result<TetMesh, BuildError> {
+/// The elasticity of a part.
+fn read_elasticity(source: &ElasticitySource, density_kg_per_m3: f64) -> Result<LinearElastic, BuildError> {
+    Ok(match source {
+        ElasticitySource::Tissue(name) => Tissue::by_name(name)?.linear_elastic()?,
+        &ElasticitySource::Given { young_modulus_pa, poisson_ratio } => {
+            LinearElastic::from_young_poisson(young_modulus_pa, poisson_ratio, density_kg_per_m3)?
+        }
+    })
+}
+
+/// The parts of other tissue; none if the scene has none.
+fn tissue_parts(
+    sources: &[TissuePartSource],
+    label_of: &[i64],
+    density_kg_per_m3: f64,
+    file: &Path,
+) -> Result<Option<TissueParts>, BuildError> {
+    if sources.is_empty() {
+        return Ok(None);
+    }
+    if label_of.is_empty() {
+        return Err(BuildError::NoLabels { file: file.to_owned() });
+    }
+    let labels: BTreeSet<i64> = label_of.iter().copied().collect();
+    if let Some(missing) = sources.iter().find(|source| !labels.contains(&source.label)) {
+        let found = labels.iter().take(MOST_LABELS_NAMED).map(i64::to_string).collect::<Vec<_>>().join(", ");
+        return Err(BuildError::NoSuchLabel { file: file.to_owned(), label: missing.label, found });
+    }
+    let materials = sources.iter().map(|source| read_elasticity(&source.elasticity, density_kg_per_m3));
+    let part_of = |label: &i64| sources.iter().zip(0..).find(|(source, _)| source.label == *label);
+    Ok(Some(TissueParts {
+        materials: materials.collect::<Result<_, _>>()?,
+        of_tet: label_of.iter().map(|label| part_of(label).map(|(_, part)| part)).collect(),
+    }))
+}
+
+/// So many labels an error lists at most.
+const MOST_LABELS_NAMED: usize = 20;
+
+/// The mesh of an organ with the labels of its tetrahedra, if the file has any; its path is relative to `folder`.
+pub(super) fn read_organ_mesh(
+    source: &OrganSource,
+    folder: &Path,
+) -> Result<(TetMesh, Vec<i64>), BuildError> {
     let policy =
         ImportPolicy { faults: FaultAction::Refuse, unit: source.mesh_unit, ..ImportPolicy::default() };
-    Ok(read_mesh_with(&folder.join(&source.mesh), &policy)?.0)
+    let (mesh, report) = read_mesh_with(&folder.join(&source.mesh), &policy)?;
+    Ok((mesh, report.label_of))
 }
 
 /// An organ's tables with its mesh.
@@ -156,6 +221,8 @@ pub(super) struct OrganTables<'a> {
     pub(super) ligaments: &'a [Ligament],
     pub(super) loads: &'a [Load],
     pub(super) mesh: TetMesh,
+    /// The label of each tetrahedron, or none.
+    pub(super) label_of: Vec<i64>,
     /// Whether nothing need hold it.
     pub(super) may_float: bool,
 }
@@ -166,13 +233,14 @@ pub(super) struct OrganTables<'a> {
 /// # Errors
 /// [`BuildError`]: an unreadable mesh, an unknown tissue, nothing that holds the organ.
 pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError> {
-    let mesh = read_organ_mesh(&scene.organ, folder)?;
+    let (mesh, label_of) = read_organ_mesh(&scene.organ, folder)?;
     let WorldSpec { supports, ligaments, loads, .. } = &scene.world;
     let (mut supports, mut ligaments, mut loads) = (&supports[..], &ligaments[..], &loads[..]);
     if let Some(BodySource::Organ(_, own)) = scene.bodies.first().map(|body| &body.source) {
         (supports, ligaments, loads) = (&own.supports, &own.ligaments, &own.loads);
     }
-    let tables = OrganTables { source: &scene.organ, supports, ligaments, loads, mesh, may_float: false };
+    let tables =
+        OrganTables { source: &scene.organ, supports, ligaments, loads, mesh, label_of, may_float: false };
     let mut body = organ_without_stress(tables, scene, folder)?;
     if body.is_imaged_under_gravity && body.gravity_m_per_s2 != DVec3::ZERO {
         let OrganBody { mesh, material, fixed, attachments, gravity_m_per_s2, .. } = &body;
@@ -188,7 +256,7 @@ pub(super) fn organ_without_stress(
     scene: &Scene,
     folder: &Path,
 ) -> Result<OrganBody, BuildError> {
-    let OrganTables { source, supports, ligaments, loads, mesh, may_float } = tables;
+    let OrganTables { source, supports, ligaments, loads, mesh, label_of, may_float } = tables;
     let file = folder.join(&source.mesh);
     let (material, name) = read_material(&source.material)?;
     let WorldSpec { gravity_m_per_s2, time_step_s, .. } = &scene.world;
@@ -211,8 +279,10 @@ pub(super) fn organ_without_stress(
     if fixed.is_empty() && attachments.is_empty() && !may_float {
         return Err(BuildError::NothingFixed { file, n_regions: supports.len(), min_mm, max_mm });
     }
+    let parts = tissue_parts(&source.tissue_parts, &label_of, material.density_kg_per_m3(), &file)?;
     let mut body = OrganBody::new(mesh, material, *time_step_s);
     body.material_text.insert_str(0, &name);
+    body.tissue_parts = parts;
     body.law.clone_from(&source.law);
     body.relaxation.clone_from(&source.relaxation);
     body.fibre = source.fibre;

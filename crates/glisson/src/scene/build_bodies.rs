@@ -39,13 +39,15 @@ pub(super) fn read_bodies(
         let name = name.to_owned();
         move |error: BuildError| BuildError::Body { name, error: Box::new(error) }
     };
-    let mut meshes = Vec::new();
+    let (mut meshes, mut labels) = (Vec::new(), Vec::new());
     for body in &scene.bodies {
         let mesh = match &body.source {
             BodySource::Organ(source, _) => read_organ_mesh(source, folder),
-            BodySource::Rigid(source) => read_rigid_mesh(source, folder),
+            BodySource::Rigid(source) => read_rigid_mesh(source, folder).map(|mesh| (mesh, Vec::new())),
         };
-        meshes.push(mesh.map_err(of_body(&body.name))?);
+        let (mesh, label_of) = mesh.map_err(of_body(&body.name))?;
+        meshes.push(mesh);
+        labels.push(label_of);
     }
     spec.bodies = body_specs(scene, &meshes);
     let joint = joined(&meshes);
@@ -60,7 +62,7 @@ pub(super) fn read_bodies(
     add_bonds(scene, &joint, &topology, spec)?;
 
     let mut parts = Vec::new();
-    for (body, mesh) in scene.bodies.iter().zip(meshes) {
+    for ((body, mesh), label_of) in scene.bodies.iter().zip(meshes).zip(labels) {
         parts.push(match &body.source {
             BodySource::Rigid(source) => BodyPart::Rigid { mesh, motion: source.motion.clone() },
             BodySource::Organ(source, own) => {
@@ -75,6 +77,7 @@ pub(super) fn read_bodies(
                     ligaments: &own.ligaments,
                     loads: &own.loads,
                     mesh,
+                    label_of,
                     may_float: kind.row().motion != ModelMotion::QuasiStatic,
                 };
                 let body = organ_without_stress(tables, scene, folder).map_err(of_body(&body.name))?;

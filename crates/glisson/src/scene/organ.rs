@@ -1,6 +1,7 @@
 //! `[organ]`: mesh, material, law, model, supports and loads.
 
 use super::law::read_law;
+use super::material::{MaterialSource, TissuePartSource, read_material, read_tissue_parts};
 use super::reader::{SceneError, Section};
 use super::when_cut::{WhenCut, read_when_cut, turns_hybrid};
 use crate::material::{LawChoice, PronyTerm};
@@ -14,22 +15,6 @@ use crate::tool::fracture::FractureEnergy;
 use crate::units::{Dimension, LengthUnit};
 use crate::world::spec::{ForceField, Ligament, Load, LoadTime, Region, Support};
 use std::path::PathBuf;
-
-/// Where an organ's elasticity comes from.
-#[derive(Clone, Debug, PartialEq)]
-pub enum MaterialSource {
-    /// A row of the table of tissues.
-    Tissue(String),
-    /// Numbers of the scene.
-    Given {
-        /// Young's modulus [Pa].
-        young_modulus_pa: f64,
-        /// Poisson's ratio.
-        poisson_ratio: f64,
-        /// Density [kg/m3].
-        density_kg_per_m3: f64,
-    },
-}
 
 /// A zone of the hybrid model.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,6 +34,8 @@ pub struct OrganSource {
     pub mesh_unit: LengthUnit,
     /// Elasticity and density.
     pub material: MaterialSource,
+    /// Parts of other tissue.
+    pub tissue_parts: Vec<TissuePartSource>,
     /// Which law the models that have a choice follow; each its own when absent.
     pub law: Option<LawChoice>,
     /// Viscoelastic relaxation of the stress, for models that know it.
@@ -125,10 +112,15 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
     let model = ModelKind::by_name(&model_name)
         .ok_or_else(|| section.wrong_value(at, "model", format!("\"{model_name}\""), &names))?;
     let law = read_law(&mut section, model)?;
+    let tissue_parts = read_tissue_parts(&mut section, model)?;
     let relaxation = read_relaxation(&mut section)?;
     let fibre = section.section("fibre")?.map(read_fibre).transpose()?;
     let vessels = section.string("vessels")?.map(|p| PathBuf::from(p.0));
     let tearing = read_tearing(&mut section)?;
+    if tearing.is_some() && !tissue_parts.is_empty() {
+        let allowed = "one tissue: what a crack takes is known for the organ's own alone".into();
+        return Err(section.wrong_table("part", "in an organ that tears".into(), allowed));
+    }
     let mends_cuts = section.flag("mend_cuts")?.unwrap_or(false);
     let volume_penalty_pa = not_negative(&mut section, "volume_penalty", Dimension::Pressure)?;
     let precomputed = section.string("precomputed")?.map(|p| PathBuf::from(p.0));
@@ -151,6 +143,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
         mesh: mesh.0.into(),
         mesh_unit,
         material,
+        tissue_parts,
         law,
         relaxation,
         fibre,
@@ -340,67 +333,6 @@ fn read_load_time(section: &mut Section<'_>) -> Result<LoadTime, SceneError> {
             }
         }
     }
-}
-
-fn read_material(section: &mut Section<'_>) -> Result<MaterialSource, SceneError> {
-    let tissue = section.string("tissue")?;
-    let young = section.positive("young_modulus", Dimension::Pressure)?;
-    let poisson = section.number("poisson_ratio")?;
-    let lame_lambda = section.quantity("lame_lambda", Dimension::Pressure)?;
-    let lame_mu = section.positive("lame_mu", Dimension::Pressure)?;
-    let density = section.positive("density", Dimension::Density)?;
-    let given =
-        [young.is_some(), poisson.is_some(), lame_lambda.is_some(), lame_mu.is_some(), density.is_some()];
-    if let Some((name, at)) = tissue {
-        if given.contains(&true) {
-            let allowed = "a tissue alone, or young_modulus, poisson_ratio and density without a tissue";
-            return Err(section.wrong_value(
-                at,
-                "tissue",
-                format!("\"{name}\" beside its own numbers"),
-                allowed,
-            ));
-        }
-        return Ok(MaterialSource::Tissue(name));
-    }
-    if lame_lambda.is_none() && lame_mu.is_some() {
-        return Err(section.missing("lame_lambda", "lame_lambda = \"12.5 kPa\""));
-    }
-    if let Some((lambda_pa, at)) = lame_lambda {
-        let mu_pa = lame_mu.ok_or_else(|| section.missing("lame_mu", "lame_mu = \"2 kPa\""))?;
-        if young.is_some() || poisson.is_some() {
-            let allowed = "lame_lambda and lame_mu, or young_modulus and poisson_ratio";
-            return Err(section.wrong_value(
-                at,
-                "lame_lambda",
-                "beside young_modulus or poisson_ratio".into(),
-                allowed,
-            ));
-        }
-        // Positive energy for every strain (LinearElastic::from_lame).
-        if 3.0 * lambda_pa + 2.0 * mu_pa <= 0.0 {
-            let allowed = "more than -2/3 of lame_mu";
-            return Err(section.wrong_value(at, "lame_lambda", format!("{lambda_pa} Pa"), allowed));
-        }
-        let density_kg_per_m3 =
-            density.ok_or_else(|| section.missing("density", "density = \"1060 kg/m3\""))?;
-        return Ok(MaterialSource::Given {
-            young_modulus_pa: mu_pa * (3.0 * lambda_pa + 2.0 * mu_pa) / (lambda_pa + mu_pa),
-            poisson_ratio: lambda_pa / (2.0 * (lambda_pa + mu_pa)),
-            density_kg_per_m3,
-        });
-    }
-    let young_modulus_pa = young.ok_or_else(|| {
-        section.missing("young_modulus", "young_modulus = \"5 kPa\" (or tissue = \"liver\")")
-    })?;
-    let (poisson_ratio, at) =
-        poisson.ok_or_else(|| section.missing("poisson_ratio", "poisson_ratio = 0.45"))?;
-    if !(poisson_ratio > -1.0 && poisson_ratio < 0.5) {
-        let allowed = "more than -1 and less than 0.5 (a tissue that keeps its volume: 0.45 to 0.49)";
-        return Err(section.wrong_value(at, "poisson_ratio", poisson_ratio.to_string(), allowed));
-    }
-    let density_kg_per_m3 = density.ok_or_else(|| section.missing("density", "density = \"1060 kg/m3\""))?;
-    Ok(MaterialSource::Given { young_modulus_pa, poisson_ratio, density_kg_per_m3 })
 }
 
 pub(super) fn read_region(section: &mut Section<'_>) -> Result<Region, SceneError> {

@@ -187,7 +187,7 @@ fn check_version(root: &mut Section<'_>) -> Result<(), SceneError> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::organ::MaterialSource;
+    use super::super::material::MaterialSource;
     use super::*;
     use crate::material::law_named;
     use crate::math::DVec3;

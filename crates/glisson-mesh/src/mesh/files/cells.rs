@@ -111,6 +111,8 @@ pub(super) struct RawMesh {
     /// Nodes [m], axes of `frame`.
     pub(super) positions_m: Vec<DVec3>,
     pub(super) tetrahedra: Vec<[NodeId; 4]>,
+    /// The label of each tetrahedron; fewer where the file does not give them.
+    pub(super) label_of: Vec<i64>,
     pub(super) frame: Frame,
     pub(super) skipped: BTreeMap<&'static str, usize>,
 }

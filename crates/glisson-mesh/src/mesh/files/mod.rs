@@ -16,6 +16,8 @@
 //! that writing and reading gives the same bits. Binary files of others in millimetres are divided by 1000
 //! after reading, which rounds once (relative 1.2e-16).
 //!
+//! Labels of tetrahedra (which organ each belongs to) are read from the cell field [`LABEL_FIELD`] of `.vtu` files.
+//!
 //! Counts in a header are checked against the bytes that are there before anything is allocated.
 
 mod abaqus;
@@ -32,6 +34,7 @@ mod vtu_write;
 
 pub use crate::scan::{FormatError, Place};
 pub use format::MeshFormat;
+pub use vtu::LABEL_FIELD;
 pub use vtu_write::{FieldPlace, FieldValues, VtuField};
 
 use std::fs;
@@ -134,10 +137,12 @@ pub fn mesh_from_bytes(
             *p = DVec3::new(-p.x, -p.y, p.z);
         }
     }
-    let RawMesh { positions_m, tetrahedra, skipped, .. } = raw;
+    let RawMesh { positions_m, tetrahedra, label_of, skipped, .. } = raw;
+    let has_labels = label_of.len() == tetrahedra.len();
     let mut mesh = TetMesh { positions_m, tetrahedra, ..TetMesh::default() };
     let mut report = ImportReport::import(&mut mesh, policy, source_name)?;
     report.skipped_cells = skipped.into_iter().collect();
+    report.label_of = if has_labels { label_of } else { Vec::new() };
     Ok((mesh, report))
 }
 

@@ -4,12 +4,15 @@
 
 use roxmltree::Node;
 
-use super::cells::{Frame, RawMesh, VtkCells};
+use super::cells::{CellKind, Frame, RawMesh, VtkCells, vtk_cell_kind};
 use super::format::{MeshFormat, file};
 use super::vtu_write;
 use crate::scan::{FormatError, Place};
 use crate::units::LengthUnit;
 use crate::vtk_xml::{VtkArrays, VtkXml, count_attribute};
+
+/// The cell field with the label of each tetrahedron: what `glisson mesh-organs` writes.
+pub const LABEL_FIELD: &str = "label";
 
 /// The format's row of the table.
 pub(super) const FORMAT: MeshFormat = MeshFormat {
@@ -54,5 +57,14 @@ fn read_piece(
     raw.add_vtk_cells(&list, n_points).map_err(|mut error| {
         error.place = Place::Named(format!("{place}, {}", error.place));
         error
-    })
+    })?;
+    let Some(labels) = arrays.cell_field(piece, LABEL_FIELD, place)? else { return Ok(()) };
+    if labels.len() != n_cells {
+        let found = format!("{} values in the cell field {LABEL_FIELD}", labels.len());
+        return Err(FormatError::named(place, found, format!("NumberOfCells = {n_cells}")));
+    }
+    let is_tetrahedron = |cell: &&i64| vtk_cell_kind(**cell) == Some(CellKind::Tetrahedron);
+    let of_tetrahedra = labels.iter().zip(&list.types).filter(|(_, cell)| is_tetrahedron(cell));
+    raw.label_of.extend(of_tetrahedra.map(|(label, _)| label));
+    Ok(())
 }

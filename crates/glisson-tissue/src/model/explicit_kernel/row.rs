@@ -10,6 +10,7 @@ use std::sync::Arc;
 pub(crate) const ROW: ModelRow = ModelRow {
     follows_any_law: true,
     has_fibres: true,
+    has_tissue_parts: true,
     relaxes: true,
     ..ModelRow::explicit(
         NAME,
@@ -20,14 +21,15 @@ pub(crate) const ROW: ModelRow = ModelRow {
 };
 
 fn make(body: &OrganBody, law: Option<&LawChoice>) -> Result<Box<dyn DeformableModel>, ModelError> {
-    let material = &body.material;
+    let materials = body.materials();
     let mut laws: Vec<SharedMaterial> = Vec::new();
     let law = match law {
         None => KernelLaw::StVenantKirchhoff,
         Some(law) => match KernelLaw::named(law.name()) {
             Some(fast) => fast,
             None => {
-                laws.push(law.with_moduli_of(material)?.into_shared());
+                laws =
+                    body.of_tissues(|tissue| Ok::<_, ModelError>(law.with_moduli_of(tissue)?.into_shared()))?;
                 KernelLaw::General
             }
         },
@@ -40,7 +42,7 @@ fn make(body: &OrganBody, law: Option<&LawChoice>) -> Result<Box<dyn DeformableM
         relaxation: relaxation.as_ref(),
         largest_stretch: LARGEST_STRETCH,
         workers: Arc::clone(&body.workers),
-        ..ExplicitKernelParams::new(body.dynamic(), law, std::slice::from_ref(material))
+        ..ExplicitKernelParams::new(body.dynamic(), law, &materials)
     };
     Ok(Box::new(ExplicitKernel::build(&params).map_err(ModelError::of_numbers)?))
 }

@@ -197,10 +197,16 @@ impl Elements {
         let n_groups = groups.len();
         let own = match law {
             ImplicitLaw::NeoHookeLog(law) => {
-                let lame_pa = [law.lambda_pa(), law.mu_pa()];
-                OwnLaw::NeoHooke(NeoHooke::new(lame_pa, volume, n_groups, &node_volume_m3))
+                OwnLaw::NeoHooke(NeoHooke::new(vec![*law], volume, n_groups, &node_volume_m3))
             }
-            ImplicitLaw::StableNeoHooke(law) => OwnLaw::Stable(Stable::new(*law, n_groups)),
+            ImplicitLaw::NeoHookeLogOfEach(laws) => {
+                let laws = of_live(laws, &tets).into_owned();
+                OwnLaw::NeoHooke(NeoHooke::new(laws, volume, n_groups, &node_volume_m3))
+            }
+            ImplicitLaw::StableNeoHooke(law) => OwnLaw::Stable(Stable::new(vec![*law], n_groups)),
+            ImplicitLaw::StableNeoHookeOfEach(laws) => {
+                OwnLaw::Stable(Stable::new(of_live(laws, &tets).into_owned(), n_groups))
+            }
             ImplicitLaw::General(laws) => {
                 OwnLaw::General(General::new(of_live(laws, &tets).into_owned(), n_groups))
             }
@@ -345,7 +351,7 @@ impl Elements {
             let f = DMat3::IDENTITY + self.gradient(t, displacement_m);
             let (is_valid, bars) = match &self.own {
                 OwnLaw::NeoHooke(own) => (own.is_valid_at(&f), true),
-                OwnLaw::Stable(own) => (own.is_valid_at(&f), false),
+                OwnLaw::Stable(own) => (own.is_valid_at(t, &f), false),
                 OwnLaw::General(own) => (own.is_valid_at(t, &f), !own.is_valid_at(t, &MIRROR)),
             };
             self.is_bad[t] = !is_valid || (bars && is_far_from_rest(&f));
@@ -407,8 +413,8 @@ impl Elements {
         }
         let f = DMat3::IDENTITY + self.gradient(t, displacement_m);
         let stress_pa = match &self.own {
-            OwnLaw::NeoHooke(own) => own.second_piola_pa(group, t % LANES, self.factor, &f),
-            OwnLaw::Stable(own) => f.inverse() * own.law().first_piola_pa(&f),
+            OwnLaw::NeoHooke(own) => own.second_piola_pa(t, group, self.factor, &f),
+            OwnLaw::Stable(own) => f.inverse() * own.law(t).first_piola_pa(&f),
             OwnLaw::General(own) => f.inverse() * own.law(t).first_piola_pa(&f),
         };
         // The result must be symmetric to the bit.
@@ -429,8 +435,8 @@ impl Elements {
             _ if follows_stand_in => {
                 stiffness_of(&self.stand_in(t).projected_tangent_pa(&f), alpha, per_elastic * volume_m3)
             }
-            OwnLaw::NeoHooke(own) => own.projected_stiffness(f, alpha, per_elastic * volume_m3),
-            OwnLaw::Stable(own) => own.projected_stiffness(f, alpha, per_elastic * volume_m3),
+            OwnLaw::NeoHooke(own) => own.projected_stiffness(t, f, alpha, per_elastic * volume_m3),
+            OwnLaw::Stable(own) => own.projected_stiffness(t, f, alpha, per_elastic * volume_m3),
             OwnLaw::General(own) => {
                 stiffness_of(&own.law(t).projected_tangent_pa(&f), alpha, per_elastic * volume_m3)
             }
@@ -503,12 +509,14 @@ fn trace_of_product(a: &DMat3, b: &DMat3) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::law::SharedLaw;
     use super::*;
     use crate::material::{
         LinearElastic, MaterialSpec, MooneyRivlin, NeoHookeLog, Ogden, OgdenTerm, StVenantKirchhoff,
     };
     use crate::workers::Sequential;
     use glisson_mesh::math::SeededRandom;
+    use std::sync::Arc;
 
     const LAME_PA: [f64; 2] = [9000.0, 1000.0];
 
@@ -527,6 +535,19 @@ mod tests {
 
     fn vector(random: &mut SeededRandom, scale: f64) -> DVec3 {
         DVec3::new(random.normal(), random.normal(), random.normal()) * scale
+    }
+
+    /// Lame's coefficients of the tetrahedra of [`cube`] where each has its own [Pa].
+    fn lame_of_each_pa() -> impl Iterator<Item = [f64; 2]> {
+        (0..6).map(|t| [LAME_PA[0] * (1.0 + f64::from(t)), LAME_PA[1] * (4.0 - 0.5 * f64::from(t))])
+    }
+
+    fn logs_of_each() -> Vec<NeoHookeLog> {
+        lame_of_each_pa().map(|[lambda_pa, mu_pa]| NeoHookeLog::new(lambda_pa, mu_pa).unwrap()).collect()
+    }
+
+    fn stables_of_each() -> Vec<StableNeoHooke> {
+        lame_of_each_pa().map(|[lambda_pa, mu_pa]| StableNeoHooke::new(lambda_pa, mu_pa).unwrap()).collect()
     }
 
     fn laws() -> Vec<(ImplicitLaw, VolumeResistance)> {
@@ -549,6 +570,8 @@ mod tests {
             (stable.into(), VolumeResistance::Element),
             (ImplicitLaw::shared(stable), VolumeResistance::Element),
             (ImplicitLaw::shared(ogden), VolumeResistance::Element),
+            (ImplicitLaw::NeoHookeLogOfEach(logs_of_each()), VolumeResistance::Element),
+            (ImplicitLaw::StableNeoHookeOfEach(stables_of_each()), VolumeResistance::Element),
         ]
     }
 
@@ -626,8 +649,8 @@ mod tests {
         let rest = vec![[200.0, -150.0, 80.0, 60.0, -90.0, 30.0]; 6];
         for (law, volume) in laws() {
             let allows_inversion = match &law {
-                ImplicitLaw::NeoHookeLog(_) => false,
-                ImplicitLaw::StableNeoHooke(_) => true,
+                ImplicitLaw::NeoHookeLog(_) | ImplicitLaw::NeoHookeLogOfEach(_) => false,
+                ImplicitLaw::StableNeoHooke(_) | ImplicitLaw::StableNeoHookeOfEach(_) => true,
                 ImplicitLaw::General(laws) => laws[0].returns_from_inversion(),
             };
             let mut elements = elements(&mesh, &law, volume, &rest);
@@ -681,9 +704,22 @@ mod tests {
         let stable = StableNeoHooke::new(LAME_PA[0], LAME_PA[1]).unwrap();
         let logs = [ImplicitLaw::from(log), ImplicitLaw::shared(log)];
         let stables = [ImplicitLaw::from(stable), ImplicitLaw::shared(stable)];
+        let shared = |law: &StableNeoHooke| -> SharedLaw { Arc::new(*law) };
+        let stables_of_each = [
+            ImplicitLaw::StableNeoHookeOfEach(stables_of_each()),
+            ImplicitLaw::General(stables_of_each().iter().map(shared).collect()),
+        ];
+        let shared = |law: &NeoHookeLog| -> SharedLaw { Arc::new(*law) };
+        let logs_of_each = [
+            ImplicitLaw::NeoHookeLogOfEach(logs_of_each()),
+            ImplicitLaw::General(logs_of_each().iter().map(shared).collect()),
+        ];
         for (laws, u, left_out) in [
             (&logs, &u, 0),
             (&logs, &u, 0b1000),
+            (&logs_of_each, &u, 0b1000),
+            (&stables_of_each, &u, 0b1000),
+            (&stables_of_each, &inverted, 0),
             (&stables, &u, 0),
             (&stables, &u, 0b1110_1000),
             (&stables, &inverted, 0),

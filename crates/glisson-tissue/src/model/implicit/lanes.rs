@@ -50,6 +50,34 @@ pub(super) struct Group {
     pub(super) left_out: u8,
 }
 
+/// Two moduli [Pa] of each group: the same of all, or of each its own.
+#[derive(Clone, Debug)]
+pub(super) struct Moduli {
+    of_groups_pa: Vec<[Lanes; 2]>,
+}
+
+impl Moduli {
+    /// Of one pair for all live tetrahedra, or one for each.
+    pub(super) fn new(of_tets_pa: &[[f64; 2]]) -> Self {
+        // Lanes beyond the end repeat the last tetrahedron; of one pair for all every lane has it.
+        let lane = |group: &[[f64; 2]], lane: usize, which: usize| group[lane.min(group.len() - 1)][which];
+        let of_group =
+            |group: &[[f64; 2]]| [0, 1].map(|which| std::array::from_fn(|l| lane(group, l, which)));
+        Self { of_groups_pa: of_tets_pa.chunks(LANES).map(of_group).collect() }
+    }
+
+    /// The moduli of each of these groups.
+    #[inline(always)]
+    pub(super) fn stretch(&self, groups: Range<usize>) -> impl Iterator<Item = &[Lanes; 2]> {
+        groups.map(|group| &self.of_groups_pa[if self.of_groups_pa.len() == 1 { 0 } else { group }])
+    }
+}
+
+/// The value of live tetrahedron number `t` in a list with one value, or one per live tetrahedron.
+pub(super) fn of_tet<T>(values: &[T], t: usize) -> &T {
+    &values[if values.len() == 1 { 0 } else { t }]
+}
+
 #[inline(always)]
 pub(super) fn load<S: Simd>(simd: S, lanes: &Lanes) -> f64x8<S> {
     f64x8::from_slice(simd, lanes)

@@ -28,6 +28,10 @@ pub enum ImplicitLaw {
     NeoHookeLog(NeoHookeLog),
     /// The stable neo-Hookean law for all tetrahedra, eight at a time.
     StableNeoHooke(StableNeoHooke),
+    /// The ln J neo-Hookean law with numbers for each tetrahedron, eight at a time.
+    NeoHookeLogOfEach(Vec<NeoHookeLog>),
+    /// The stable neo-Hookean law with numbers for each tetrahedron, eight at a time.
+    StableNeoHookeOfEach(Vec<StableNeoHooke>),
     /// Any law, one tetrahedron at a time: one for all, or one a tetrahedron.
     General(Vec<SharedLaw>),
 }
@@ -43,6 +47,17 @@ impl ImplicitLaw {
         Self::General(vec![Arc::new(law)])
     }
 
+    /// These laws of each tetrahedron, eight at a time where they can be.
+    pub(super) fn of_each(laws: Vec<MaterialSpec>) -> Self {
+        if let Some(logs) = laws.iter().map(|law| law.as_law().copied()).collect() {
+            Self::NeoHookeLogOfEach(logs)
+        } else if let Some(stables) = laws.iter().map(|law| law.as_law().copied()).collect() {
+            Self::StableNeoHookeOfEach(stables)
+        } else {
+            Self::General(laws.into_iter().map(MaterialSpec::into_shared).collect())
+        }
+    }
+
     /// What stands in for each law where a tetrahedron is inside out: one, or one a tetrahedron.
     pub(super) fn stand_ins(&self, n_tets: usize) -> Result<Vec<StableNeoHooke>, ImplicitError> {
         let law_error = |number, [lambda_pa, mu_pa]: [f64; 2]| ImplicitError::NotStiffAtRest {
@@ -50,38 +65,56 @@ impl ImplicitLaw {
             lambda_pa,
             mu_pa,
         };
+        let stand_in = |(number, lame_pa): (usize, [f64; 2])| {
+            StableNeoHooke::new(lame_pa[0], lame_pa[1]).map_err(|_| law_error(number, lame_pa))
+        };
+        let n_laws = self.n_laws();
+        if n_laws != 1 && n_laws != n_tets {
+            return Err(ImplicitError::LawCount { found: n_laws, n_tets });
+        }
         match self {
-            Self::NeoHookeLog(law) => {
-                let lame_pa = [law.lambda_pa(), law.mu_pa()];
-                StableNeoHooke::new(lame_pa[0], lame_pa[1])
-                    .map(|s| vec![s])
-                    .map_err(|_| law_error(0, lame_pa))
-            }
             Self::StableNeoHooke(law) => Ok(vec![*law]),
-            Self::General(laws) => {
-                if laws.len() != 1 && laws.len() != n_tets {
-                    return Err(ImplicitError::LawCount { found: laws.len(), n_tets });
-                }
-                let stand_in = |(number, law): (usize, &SharedLaw)| {
-                    let lame_pa = law.lame_at_rest_pa();
-                    StableNeoHooke::new(lame_pa[0], lame_pa[1]).map_err(|_| law_error(number, lame_pa))
-                };
-                laws.iter().enumerate().map(stand_in).collect()
+            Self::StableNeoHookeOfEach(laws) => Ok(laws.clone()),
+            Self::NeoHookeLog(_) | Self::NeoHookeLogOfEach(_) | Self::General(_) => {
+                self.lame_at_rest_pa().enumerate().map(stand_in).collect()
             }
         }
     }
 
+    fn n_laws(&self) -> usize {
+        match self {
+            Self::NeoHookeLog(_) | Self::StableNeoHooke(_) => 1,
+            Self::NeoHookeLogOfEach(laws) => laws.len(),
+            Self::StableNeoHookeOfEach(laws) => laws.len(),
+            Self::General(laws) => laws.len(),
+        }
+    }
+
+    /// The law of a tetrahedron.
+    pub(super) fn of_tet(&self, tet: usize) -> &dyn Material {
+        match self {
+            Self::NeoHookeLog(law) => law,
+            Self::StableNeoHooke(law) => law,
+            Self::NeoHookeLogOfEach(laws) => &laws[tet],
+            Self::StableNeoHookeOfEach(laws) => &laws[tet],
+            Self::General(laws) => &*laws[if laws.len() == 1 { 0 } else { tet }],
+        }
+    }
+
+    /// Lame's coefficients at rest of each law [Pa].
+    fn lame_at_rest_pa(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
+        (0..self.n_laws()).map(|number| match self {
+            Self::NeoHookeLog(law) => [law.lambda_pa(), law.mu_pa()],
+            Self::StableNeoHooke(law) => [law.lambda_pa(), law.mu_pa()],
+            Self::NeoHookeLogOfEach(laws) => [laws[number].lambda_pa(), laws[number].mu_pa()],
+            Self::StableNeoHookeOfEach(laws) => [laws[number].lambda_pa(), laws[number].mu_pa()],
+            Self::General(laws) => laws[number].lame_at_rest_pa(),
+        })
+    }
+
     /// Largest lambda + 2 mu at rest [Pa].
     pub(super) fn modulus_pa(&self) -> f64 {
-        match self {
-            Self::NeoHookeLog(law) => law.lambda_pa() + 2.0 * law.mu_pa(),
-            Self::StableNeoHooke(law) => law.lambda_pa() + 2.0 * law.mu_pa(),
-            Self::General(laws) => laws
-                .iter()
-                .map(|law| law.lame_at_rest_pa())
-                .map(|[lambda_pa, mu_pa]| lambda_pa + 2.0 * mu_pa)
-                .fold(0.0, f64::max),
-        }
+        self.lame_at_rest_pa().map(|[lambda_pa, mu_pa]| lambda_pa + 2.0 * mu_pa).fold(0.0, f64::max)
     }
 
     /// The first law whose stress does not turn with the body: P(Q F) = Q P(F) fails for a quarter turn.
@@ -134,6 +167,8 @@ impl fmt::Debug for ImplicitLaw {
         match self {
             Self::NeoHookeLog(law) => law.fmt(f),
             Self::StableNeoHooke(law) => law.fmt(f),
+            Self::NeoHookeLogOfEach(laws) => write!(f, "NeoHookeLogOfEach({} laws)", laws.len()),
+            Self::StableNeoHookeOfEach(laws) => write!(f, "StableNeoHookeOfEach({} laws)", laws.len()),
             Self::General(laws) => write!(f, "General({} laws)", laws.len()),
         }
     }

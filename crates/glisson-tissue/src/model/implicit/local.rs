@@ -1,7 +1,7 @@
 //! The local models of an implicit body: from its factor where that is of the same step, else on rings of tetrahedra.
 
+use super::ImplicitEuler;
 use super::lagged::Lagged;
-use super::{ImplicitEuler, ImplicitLaw};
 use crate::model::local_model::{
     ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw, add_rest_stress, compute, tet_tangent,
 };
@@ -82,11 +82,7 @@ impl LocalBody for Relaxing<'_> {
         let nodes = body.mesh.tetrahedra[element].map(NodeId::index);
         let gradients = P1Gradients::in_mesh(&body.mesh, TetId::from_index(element));
         let u_m = nodes.map(|n| body.displacement_m[n]);
-        let law = match &body.law {
-            ImplicitLaw::NeoHookeLog(law) => TangentLaw::Any(law),
-            ImplicitLaw::StableNeoHooke(law) => TangentLaw::Any(law),
-            ImplicitLaw::General(laws) => TangentLaw::Any(&*laws[if laws.len() == 1 { 0 } else { element }]),
-        };
+        let law = TangentLaw::Any(body.law.of_tet(element));
         let mut stiffness = tet_tangent(&gradients, u_m, &law, None);
         stiffness.iter_mut().flatten().for_each(|block| *block *= self.share);
         if let Some(stress_pa) = body.rest_stress_pa.get(element) {

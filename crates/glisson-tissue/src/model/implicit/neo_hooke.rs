@@ -22,11 +22,12 @@ use fearless_simd::{Simd, dispatch, f64x8, prelude::*};
 use super::VolumeResistance;
 use super::evaluation::{Evaluation, On};
 use super::lanes::{
-    Group, LANES, Lanes, Matrix, Shape, SymmetricLanes, add_to_corners, add_turned, added_density,
-    corner_mean, corner_mean_matrix, deformation, gradient, load, load_matrix, scale, stretch,
+    Group, LANES, Lanes, Matrix, Moduli, Shape, SymmetricLanes, add_to_corners, add_turned, added_density,
+    corner_mean, corner_mean_matrix, deformation, gradient, load, load_matrix, of_tet, scale, stretch,
 };
 use super::projected::projected_stiffness;
 use super::shares::{Allowed, Share, Shares, scatter};
+use crate::material::NeoHookeLog;
 use crate::solve::{NodeAveraging, TetStiffness};
 use glisson_mesh::math::{DMat3, DVec3};
 
@@ -57,8 +58,10 @@ const SOFTENED_LAMBDA_OVER_MU: f64 = 4.0;
 /// Law and tangent of all tetrahedra.
 #[derive(Clone, Debug)]
 pub(super) struct NeoHooke {
-    lambda_pa: f64,
-    mu_pa: f64,
+    /// One, or one per live tetrahedron; one alone where anything is averaged.
+    laws: Vec<NeoHookeLog>,
+    /// Their lambda and mu.
+    lame: Moduli,
     volume: VolumeResistance,
     tangents: Vec<GroupTangent>,
     /// A quarter of the volumes around each node [m3], and scratch of the node-averaged pressure.
@@ -91,15 +94,16 @@ const STRAIN: u8 = 2;
 
 impl NeoHooke {
     pub(super) fn new(
-        [lambda_pa, mu_pa]: [f64; 2],
+        laws: Vec<NeoHookeLog>,
         volume: VolumeResistance,
         n_groups: usize,
         node_volume_m3: &[f64],
     ) -> Self {
         let n_nodes = node_volume_m3.len();
+        let lame_pa: Vec<[f64; 2]> = laws.iter().map(|law| [law.lambda_pa(), law.mu_pa()]).collect();
         Self {
-            lambda_pa,
-            mu_pa,
+            laws,
+            lame: Moduli::new(&lame_pa),
             volume,
             tangents: vec![NO_TANGENT; n_groups],
             node_volume_m3: node_volume_m3.to_vec(),
@@ -127,8 +131,8 @@ impl NeoHooke {
         displacement_m: &[DVec3],
         force_n: &mut [DVec3],
     ) -> Evaluation {
-        let mu = on.factor * self.mu_pa;
-        let scaled = Scaled { lambda: on.factor * self.lambda_pa, mu: self.element_shear * mu };
+        let [lambda, mu] = self.averaged_pa().map(|x| on.factor * x);
+        let scaled = Scaled { factor: on.factor, shear: self.element_shear };
         let mut averaged_j = 0.0;
         if self.volume != VolumeResistance::Element {
             let least = dispatch!(on.level, simd => sum_node_volumes(simd, self, on.shape, displacement_m));
@@ -136,15 +140,16 @@ impl NeoHooke {
                 force_n.fill(DVec3::ZERO);
                 return Evaluation { energy_j: f64::NAN, is_upright: false, has_inverted: false };
             }
-            averaged_j += self.update_node_pressures(scaled.lambda);
+            averaged_j += self.update_node_pressures(lambda);
         }
         if self.volume == VolumeResistance::NodeAveragedStrain {
             dispatch!(on.level, simd => sum_node_gradients(simd, self, on.shape, displacement_m));
             averaged_j += self.update_node_shear((1.0 - self.element_shear) * mu);
         }
-        let Self { tangents, volume, node_pressure_pa, node_shear, .. } = self;
+        let Self { lame, tangents, volume, node_pressure_pa, node_shear, .. } = self;
         let of_nodes = OfNodes { scalar: node_pressure_pa, shear: node_shear };
         let mut found = shares.evaluate(on.workers, tangents, force_n, |groups, tangents, share| {
+            let scaled = (lame.stretch(groups.clone()), scaled);
             let groups = on.shape.stretch(groups);
             match volume {
                 VolumeResistance::Element => {
@@ -170,8 +175,7 @@ impl NeoHooke {
         direction_m: &[DVec3],
         force_n: &mut [DVec3],
     ) {
-        let mu = on.factor * self.mu_pa;
-        let element_mu = self.element_shear * mu;
+        let scaled = Scaled { factor: on.factor, shear: self.element_shear };
         if self.volume != VolumeResistance::Element {
             dispatch!(on.level, simd => sum_node_swelling(simd, self, on.shape, direction_m));
             for (sum, bulk) in self.node_sum.iter_mut().zip(&self.node_bulk) {
@@ -180,21 +184,23 @@ impl NeoHooke {
         }
         if self.volume == VolumeResistance::NodeAveragedStrain {
             dispatch!(on.level, simd => sum_node_gradients(simd, self, on.shape, direction_m));
-            self.update_node_shear_change(mu - element_mu);
+            let mu = on.factor * self.averaged_pa()[1];
+            self.update_node_shear_change(mu - self.element_shear * mu);
         }
         let of_nodes = OfNodes { scalar: &self.node_sum, shear: &self.node_shear };
         shares.sum(on.workers, force_n, |groups, share| {
             let tangents = &self.tangents[groups.clone()];
+            let scaled = (self.lame.stretch(groups.clone()), scaled);
             let groups = on.shape.stretch(groups);
             match self.volume {
                 VolumeResistance::Element => {
-                    dispatch!(on.level, simd => product::<_, IN_ELEMENTS>(simd, tangents, (groups, of_nodes), element_mu, direction_m, share));
+                    dispatch!(on.level, simd => product::<_, IN_ELEMENTS>(simd, tangents, (groups, of_nodes), scaled, direction_m, share));
                 }
                 VolumeResistance::NodeAveraged => {
-                    dispatch!(on.level, simd => product::<_, PRESSURE>(simd, tangents, (groups, of_nodes), element_mu, direction_m, share));
+                    dispatch!(on.level, simd => product::<_, PRESSURE>(simd, tangents, (groups, of_nodes), scaled, direction_m, share));
                 }
                 VolumeResistance::NodeAveragedStrain => {
-                    dispatch!(on.level, simd => product::<_, STRAIN>(simd, tangents, (groups, of_nodes), element_mu, direction_m, share));
+                    dispatch!(on.level, simd => product::<_, STRAIN>(simd, tangents, (groups, of_nodes), scaled, direction_m, share));
                 }
             }
         });
@@ -205,37 +211,46 @@ impl NeoHooke {
         f.determinant() > LEAST_VOLUME_RATIO
     }
 
-    /// Second Piola-Kirchhoff stress [Pa] of lane `lane` of a group, S = mu (I - C^-1) + p J C^-1, at the
+    /// lambda and mu [Pa] of what is averaged over nodes.
+    fn averaged_pa(&self) -> [f64; 2] {
+        [self.laws[0].lambda_pa(), self.laws[0].mu_pa()]
+    }
+
+    /// Second Piola-Kirchhoff stress [Pa] of live tetrahedron number `t`, which is in `group`, S = mu (I - C^-1) + p J C^-1, at the
     /// pressures of the last evaluation, which was made with `factor`. Not for averaged strain.
-    pub(super) fn second_piola_pa(&self, group: &Group, lane: usize, factor: f64, f: &DMat3) -> DMat3 {
+    pub(super) fn second_piola_pa(&self, t: usize, group: &Group, factor: f64, f: &DMat3) -> DMat3 {
+        let (law, lane) = (of_tet(&self.laws, t), t % LANES);
         let inverse = f.inverse();
         let inverse_c = inverse * inverse.transpose();
         let j = f.determinant();
         let p_j = match self.volume {
-            VolumeResistance::Element => self.lambda_pa * libm::log(j),
+            VolumeResistance::Element => law.lambda_pa() * libm::log(j),
             VolumeResistance::NodeAveraged | VolumeResistance::NodeAveragedStrain => {
                 let sum: f64 = (0..4).map(|k| self.node_pressure_pa[group.nodes[k][lane] as usize]).sum();
                 0.25 * sum * j / factor
             }
         };
-        DMat3::from_diagonal(DVec3::splat(self.mu_pa)) + inverse_c * (p_j - self.mu_pa)
+        DMat3::from_diagonal(DVec3::splat(law.mu_pa())) + inverse_c * (p_j - law.mu_pa())
     }
 
     /// Projected stiffness for the preconditioner. Node-averaged pressure is softer than that of single tetrahedra, so a smaller
     /// lambda approximates it better.
     pub(super) fn projected_stiffness(
         &self,
+        t: usize,
         f: DMat3,
         alpha_per_m: [DVec3; 3],
         volume_m3: f64,
     ) -> TetStiffness {
+        let law = of_tet(&self.laws, t);
+        let (lambda_pa, mu_pa) = (law.lambda_pa(), law.mu_pa());
         let lambda_pa = match self.volume {
-            VolumeResistance::Element => self.lambda_pa,
+            VolumeResistance::Element => lambda_pa,
             VolumeResistance::NodeAveraged | VolumeResistance::NodeAveragedStrain => {
-                self.lambda_pa.min(SOFTENED_LAMBDA_OVER_MU * self.mu_pa)
+                lambda_pa.min(SOFTENED_LAMBDA_OVER_MU * mu_pa)
             }
         };
-        projected_stiffness(f, alpha_per_m, volume_m3, [lambda_pa, self.mu_pa])
+        projected_stiffness(f, alpha_per_m, volume_m3, [lambda_pa, mu_pa])
     }
 
     /// Updates the nodes' pressures and their slopes from the volumes; returns the energy of all volume changes [J].
@@ -294,11 +309,21 @@ fn rows(matrix: &DMat3) -> [f64; 9] {
     matrix.transpose().to_cols_array()
 }
 
-/// Lame's coefficients [Pa] times the viscous factor.
+/// What Lame's coefficients are multiplied with.
 #[derive(Clone, Copy)]
 struct Scaled {
-    lambda: f64,
-    mu: f64,
+    /// The viscous factor, of both.
+    factor: f64,
+    /// The share of the shear that stays in the tetrahedra, of mu.
+    shear: f64,
+}
+
+impl Scaled {
+    /// lambda and mu [Pa] of a group.
+    #[inline(always)]
+    fn of<S: Simd>(self, simd: S, [lambda, mu]: &[Lanes; 2]) -> [f64x8<S>; 2] {
+        [load(simd, lambda) * self.factor, load(simd, mu) * self.factor * self.shear]
+    }
 }
 
 /// What nodes tell their tetrahedra: pressures or their changes, and averaged stresses.
@@ -313,13 +338,14 @@ fn evaluate<'a, S: Simd, const AVERAGED: u8>(
     simd: S,
     tangents: &mut [GroupTangent],
     (groups, of_nodes): (impl Iterator<Item = (&'a Group, Option<&'a SymmetricLanes>)>, OfNodes<'a>),
-    Scaled { lambda, mu }: Scaled,
+    (lame_pa, scaled): (impl Iterator<Item = &'a [Lanes; 2]>, Scaled),
     displacement_m: &[DVec3],
     share: &mut Share,
 ) -> Allowed {
     let mut least = f64x8::splat(simd, f64::INFINITY);
     let mut energy = f64x8::splat(simd, 0.0);
-    for ((group, added_pa), tangent) in groups.zip(tangents) {
+    for (((group, added_pa), tangent), lame_pa) in groups.zip(tangents).zip(lame_pa) {
+        let [lambda, mu] = scaled.of(simd, lame_pa);
         let alpha = load_matrix(simd, &group.gradient_per_m);
         let h = gradient(simd, group, &alpha, displacement_m);
         let (f, cofactor, j) = deformation(&h);
@@ -328,11 +354,11 @@ fn evaluate<'a, S: Simd, const AVERAGED: u8>(
         let mut lanes = [0.0; LANES];
         j.store_slice(&mut lanes);
         let log = logarithm(simd, &lanes);
-        let mut density = stretch(&h) * (0.5 * mu) - log * mu;
+        let mut density = stretch(&h) * (mu * 0.5) - log * mu;
         let p_j = if AVERAGED != IN_ELEMENTS {
             corner_mean(simd, group, of_nodes.scalar) * j
         } else {
-            density += log * log * (0.5 * lambda);
+            density += log * log * (lambda * 0.5);
             log * lambda
         };
         let volume = load(simd, &group.volume_m3);
@@ -340,13 +366,13 @@ fn evaluate<'a, S: Simd, const AVERAGED: u8>(
             density += added_density(simd, &h, added_pa);
         }
         energy += density * volume;
-        let turning = f64x8::splat(simd, mu) - p_j;
+        let turning = mu - p_j;
         turning.store_slice(&mut tangent.turning_pa);
         if AVERAGED != IN_ELEMENTS {
             p_j.store_slice(&mut tangent.swelling_pa);
             tangent.volume_ratio = lanes;
         } else {
-            tangent.swelling_pa = [lambda; LANES];
+            lambda.store_slice(&mut tangent.swelling_pa);
         }
         let mut stress = f;
         for r in 0..3 {
@@ -387,11 +413,12 @@ fn product<'a, S: Simd, const AVERAGED: u8>(
     simd: S,
     tangents: &[GroupTangent],
     (groups, of_nodes): (impl Iterator<Item = (&'a Group, Option<&'a SymmetricLanes>)>, OfNodes<'a>),
-    mu: f64,
+    (lame_pa, scaled): (impl Iterator<Item = &'a [Lanes; 2]>, Scaled),
     direction_m: &[DVec3],
     share: &mut Share,
 ) {
-    for ((group, added_pa), tangent) in groups.zip(tangents) {
+    for (((group, added_pa), tangent), lame_pa) in groups.zip(tangents).zip(lame_pa) {
+        let [_, mu] = scaled.of(simd, lame_pa);
         let alpha = load_matrix(simd, &group.gradient_per_m);
         let df = gradient(simd, group, &alpha, direction_m);
         let q = load_matrix(simd, &tangent.q);

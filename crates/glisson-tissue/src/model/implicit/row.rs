@@ -3,11 +3,12 @@
 use std::sync::Arc;
 
 use super::{ImplicitEuler, ImplicitLaw, ImplicitParams};
-use crate::material::LawChoice;
+use crate::material::{LawChoice, LinearElastic, MaterialSpec, NeoHookeLog};
 use crate::model::{DeformableModel, ModelError, ModelMotion, ModelRow, OrganBody};
 
 pub(in crate::model) const ROW: ModelRow = ModelRow {
     follows_any_law: true,
+    has_tissue_parts: true,
     relaxes: true,
     motion: ModelMotion::Implicit,
     ..ModelRow::explicit(
@@ -19,9 +20,14 @@ pub(in crate::model) const ROW: ModelRow = ModelRow {
 };
 
 fn make(body: &OrganBody, law: Option<&LawChoice>) -> Result<Box<dyn DeformableModel>, ModelError> {
-    let law = match law {
-        None => ImplicitLaw::neo_hooke(&body.material),
-        Some(law) => ImplicitLaw::from(&law.with_moduli_of(&body.material)?),
+    let spec_of = |tissue: &LinearElastic| match law {
+        None => Ok(MaterialSpec::from(NeoHookeLog::from(tissue))),
+        Some(law) => law.with_moduli_of(tissue),
+    };
+    let law = if body.tissue_parts.is_some() {
+        ImplicitLaw::of_each(body.of_tissues(spec_of)?)
+    } else {
+        ImplicitLaw::from(&spec_of(&body.material)?)
     };
     let relaxation = body.series()?;
     let params =

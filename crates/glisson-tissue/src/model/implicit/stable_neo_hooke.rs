@@ -20,8 +20,8 @@ use fearless_simd::{Simd, dispatch, f64x8, prelude::*};
 
 use super::evaluation::{Evaluation, On};
 use super::lanes::{
-    Group, LANES, Lanes, Matrix, SymmetricLanes, add_turned, added_density, cofactor, gradient, load,
-    load_matrix, scale, stretch,
+    Group, LANES, Lanes, Matrix, Moduli, SymmetricLanes, add_turned, added_density, cofactor, gradient, load,
+    load_matrix, of_tet, scale, stretch,
 };
 use super::projected::{Modes, PAIRS};
 use super::shares::{Allowed, Share, Shares, scatter};
@@ -52,17 +52,23 @@ const NO_TANGENT: GroupTangent = GroupTangent {
 /// Law and tangent of all tetrahedra.
 #[derive(Clone, Debug)]
 pub(super) struct Stable {
-    law: StableNeoHooke,
+    /// One, or one per live tetrahedron.
+    laws: Vec<StableNeoHooke>,
+    /// The laws' own l and m.
+    own: Moduli,
     tangents: Vec<GroupTangent>,
 }
 
 impl Stable {
-    pub(super) fn new(law: StableNeoHooke, n_groups: usize) -> Self {
-        Self { law, tangents: vec![NO_TANGENT; n_groups] }
+    /// Of one law, or one for each live tetrahedron.
+    pub(super) fn new(laws: Vec<StableNeoHooke>, n_groups: usize) -> Self {
+        let own_pa: Vec<[f64; 2]> = laws.iter().map(StableNeoHooke::own_pa).collect();
+        Self { laws, own: Moduli::new(&own_pa), tangents: vec![NO_TANGENT; n_groups] }
     }
 
-    pub(super) fn law(&self) -> &StableNeoHooke {
-        &self.law
+    /// Law of live tetrahedron number `t`.
+    pub(super) fn law(&self, t: usize) -> &StableNeoHooke {
+        of_tet(&self.laws, t)
     }
 
     /// Overwrites `force_n` with the forces [N] of `factor` times the law; keeps the tangent.
@@ -73,10 +79,11 @@ impl Stable {
         displacement_m: &[DVec3],
         force_n: &mut [DVec3],
     ) -> Evaluation {
-        let own_pa = self.law.own_pa().map(|x| on.factor * x);
-        shares.evaluate(on.workers, &mut self.tangents, force_n, |groups, tangents, share| {
+        let Self { own, tangents, .. } = self;
+        shares.evaluate(on.workers, tangents, force_n, |groups, tangents, share| {
+            let own = (own.stretch(groups.clone()), on.factor);
             let groups = on.shape.stretch(groups);
-            dispatch!(on.level, simd => evaluate(simd, tangents, groups, own_pa, displacement_m, share))
+            dispatch!(on.level, simd => evaluate(simd, tangents, groups, own, displacement_m, share))
         })
     }
 
@@ -88,28 +95,30 @@ impl Stable {
         direction_m: &[DVec3],
         force_n: &mut [DVec3],
     ) {
-        let own_lambda_pa = on.factor * self.law.own_pa()[0];
         shares.sum(on.workers, force_n, |groups, share| {
             let tangents = &self.tangents[groups.clone()];
+            let own = (self.own.stretch(groups.clone()), on.factor);
             let groups = on.shape.stretch(groups);
-            dispatch!(on.level, simd => product(simd, tangents, groups, own_lambda_pa, direction_m, share));
+            dispatch!(on.level, simd => product(simd, tangents, groups, own, direction_m, share));
         });
     }
 
     /// Whether the law has an energy and a stress there: everywhere, until numbers overflow.
-    pub(super) fn is_valid_at(&self, f: &DMat3) -> bool {
-        self.law.energy_density_j_per_m3(f).is_finite() && self.law.first_piola_pa(f).is_finite()
+    pub(super) fn is_valid_at(&self, t: usize, f: &DMat3) -> bool {
+        let law = self.law(t);
+        law.energy_density_j_per_m3(f).is_finite() && law.first_piola_pa(f).is_finite()
     }
 
     /// Projected stiffness for the preconditioner, for any `f`.
     pub(super) fn projected_stiffness(
         &self,
+        t: usize,
         f: DMat3,
         alpha_per_m: [DVec3; 3],
         volume_m3: f64,
     ) -> TetStiffness {
         let SignedSingularValues { u, stretches, v } = signed_singular_values(&f);
-        let derivatives = self.law.principal(stretches);
+        let derivatives = self.law(t).principal(stretches);
         // They have a pair at the place of the third value.
         let of_pairs = |values: [f64; 3]| PAIRS.map(|[i, j]| values[3 - i - j]);
         let modes = Modes {
@@ -140,7 +149,7 @@ fn evaluate<'a, S: Simd>(
     simd: S,
     tangents: &mut [GroupTangent],
     groups: impl Iterator<Item = (&'a Group, Option<&'a SymmetricLanes>)>,
-    [l, m]: [f64; 2],
+    (own_pa, factor): (impl Iterator<Item = &'a [Lanes; 2]>, f64),
     displacement_m: &[DVec3],
     share: &mut Share,
 ) -> Allowed {
@@ -148,7 +157,8 @@ fn evaluate<'a, S: Simd>(
     // Zero until a stress is not finite.
     let mut overflow = f64x8::splat(simd, 0.0);
     let mut energy = f64x8::splat(simd, 0.0);
-    for ((group, added_pa), tangent) in groups.zip(tangents) {
+    for (((group, added_pa), tangent), own_pa) in groups.zip(tangents).zip(own_pa) {
+        let [l, m] = own_pa.each_ref().map(|lanes| load(simd, lanes) * factor);
         let alpha = load_matrix(simd, &group.gradient_per_m);
         let h = gradient(simd, group, &alpha, displacement_m);
         let mut f = h;
@@ -160,9 +170,9 @@ fn evaluate<'a, S: Simd>(
         let e = stretch(&h);
         let inverse = f64x8::splat(simd, 1.0) / (e + 4.0);
         // s - 3/4 m and p + 3/4 m.
-        let (stiffening, bulk) = (e * inverse * (0.25 * m), q * l);
-        let (shear, pressure) = (stiffening + 0.75 * m, bulk - 0.75 * m);
-        let mut density = (e - log_of_one_plus(simd, e * 0.25)) * (0.5 * m) + q * (bulk * 0.5 - 0.75 * m);
+        let (stiffening, bulk) = (e * inverse * (m * 0.25), q * l);
+        let (shear, pressure) = (stiffening + m * 0.75, bulk - m * 0.75);
+        let mut density = (e - log_of_one_plus(simd, e * 0.25)) * (m * 0.5) + q * (bulk * 0.5 - m * 0.75);
         let hydrostatic = stiffening + bulk;
         let mut stress = h;
         for r in 0..3 {
@@ -174,7 +184,7 @@ fn evaluate<'a, S: Simd>(
             overflow += (stress[r][0] + stress[r][1] + stress[r][2]) * 0.0;
         }
         shear.store_slice(&mut tangent.shear_pa);
-        (inverse * inverse * (2.0 * m)).store_slice(&mut tangent.stretching_pa);
+        (inverse * inverse * (m * 2.0)).store_slice(&mut tangent.stretching_pa);
         pressure.store_slice(&mut tangent.pressure_pa);
         if let Some(added_pa) = added_pa {
             density += added_density(simd, &h, added_pa);
@@ -213,11 +223,12 @@ fn product<'a, S: Simd>(
     simd: S,
     tangents: &[GroupTangent],
     groups: impl Iterator<Item = (&'a Group, Option<&'a SymmetricLanes>)>,
-    l: f64,
+    (own_pa, factor): (impl Iterator<Item = &'a [Lanes; 2]>, f64),
     direction_m: &[DVec3],
     share: &mut Share,
 ) {
-    for ((group, added_pa), tangent) in groups.zip(tangents) {
+    for (((group, added_pa), tangent), [l, _]) in groups.zip(tangents).zip(own_pa) {
+        let l = load(simd, l) * factor;
         let alpha = load_matrix(simd, &group.gradient_per_m);
         let df = gradient(simd, group, &alpha, direction_m);
         let f = load_matrix(simd, &tangent.f);
@@ -279,7 +290,7 @@ mod tests {
     fn projected_stiffness_is_that_of_the_projected_tangent_for_any_shape() {
         let mut random = SeededRandom::new(12);
         let law = StableNeoHooke::new(LAME_PA[0], LAME_PA[1]).unwrap();
-        let stable = Stable::new(law, 0);
+        let stable = Stable::new(vec![law], 0);
         let turn = DMat3::from_rotation_y(0.7);
         let mut shapes = vec![
             DMat3::IDENTITY,
@@ -299,7 +310,7 @@ mod tests {
         for f in shapes {
             let alpha: [DVec3; 3] =
                 std::array::from_fn(|_| DVec3::new(random.normal(), random.normal(), random.normal()));
-            let found = stable.projected_stiffness(f, alpha, 0.7);
+            let found = stable.projected_stiffness(0, f, alpha, 0.7);
             let expected = stiffness_of(&law.projected_tangent_pa(&f), alpha, 0.7);
             let blocks =
                 |k: &TetStiffness| -> Vec<DMat3> { k.vertex.iter().chain(&k.edge).copied().collect() };

@@ -143,10 +143,13 @@ impl ImplicitEuler {
         self.tet_is_live.resize(growth.n_tets, false);
         growth.added.iter().for_each(|tet| self.tet_is_live[tet.index()] = true);
         blend_tets(&mut self.rest_stress_pa, change);
-        if let ImplicitLaw::General(laws) = &mut self.law
-            && laws.len() > 1
-        {
-            growth.take_over(laws);
+        match &mut self.law {
+            ImplicitLaw::NeoHookeLogOfEach(laws) => growth.take_over(laws),
+            ImplicitLaw::StableNeoHookeOfEach(laws) => growth.take_over(laws),
+            ImplicitLaw::General(laws) if laws.len() > 1 => growth.take_over(laws),
+            ImplicitLaw::NeoHookeLog(_) | ImplicitLaw::StableNeoHooke(_) | ImplicitLaw::General(_) => {}
+        }
+        if self.stand_ins.len() > 1 {
             growth.take_over(&mut self.stand_ins);
         }
         self.positions_m.resize(n_nodes, DVec3::ZERO);
@@ -178,10 +181,13 @@ impl ImplicitEuler {
         keep_live(&mut self.mesh.tetrahedra, live);
         keep_live(&mut self.mesh.shares, live);
         keep_live(&mut self.rest_stress_pa, live);
-        if let ImplicitLaw::General(laws) = &mut self.law
-            && laws.len() > 1
-        {
-            keep_live(laws, live);
+        match &mut self.law {
+            ImplicitLaw::NeoHookeLogOfEach(laws) => keep_live(laws, live),
+            ImplicitLaw::StableNeoHookeOfEach(laws) => keep_live(laws, live),
+            ImplicitLaw::General(laws) if laws.len() > 1 => keep_live(laws, live),
+            ImplicitLaw::NeoHookeLog(_) | ImplicitLaw::StableNeoHooke(_) | ImplicitLaw::General(_) => {}
+        }
+        if self.stand_ins.len() > 1 {
             keep_live(&mut self.stand_ins, live);
         }
         if let Some(relaxation) = &mut self.relaxation {

@@ -11,6 +11,8 @@ export default defineConfig({
     emptyOutDir: true,
     target: "es2022",
     chunkSizeWarningLimit: 900,
+    // The viewer, and the page for a new patient.
+    rolldownOptions: { input: ["index.html", "patient.html"] },
     // The notices that the bundled packages ask for.
     license: { fileName: "licenses.md" },
   },

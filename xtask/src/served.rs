@@ -46,6 +46,13 @@ impl Served {
         Self::start(command.current_dir(crate::root()), "serve")
     }
 
+    /// `glisson patient` on a free port, which writes into `out`.
+    pub(crate) fn patient(program: &Path, out: &Path) -> anyhow::Result<Self> {
+        let mut command = Command::new(program);
+        command.args(["patient", "--port", "0", "--no-open", "--out"]).arg(out);
+        Self::start(command.current_dir(crate::root()), "patient")
+    }
+
     /// Waits for a line with `text`; answers it.
     pub(crate) fn says(&self, text: &str, patience: Duration) -> anyhow::Result<String> {
         let end = Instant::now() + patience;

@@ -174,11 +174,17 @@ fn browser(scene: &Path) -> anyhow::Result<()> {
     for (tests, more) in [("test:browser", &[][..]), ("test:drag", &["--device", "viewer"])] {
         let server = Served::serve(&program(), scene, more)?;
         let address = format!("http://{}", server.says_after("http://", SERVER_START)?);
+        let out = scene.with_file_name("patient");
+        let patient = Served::patient(&program(), &out)?;
+        let patient_address = format!("http://{}", patient.says_after("http://", SERVER_START)?);
         println!("$ npm run {tests} (GLISSON_URL={address}) {}", more.join(" "));
         let status = Command::new("npm")
             .args(["run", tests])
             .current_dir(root().join("web"))
             .env("GLISSON_URL", &address)
+            .env("GLISSON_PATIENT_URL", &patient_address)
+            .env("GLISSON_PATIENT_OUT", &out)
+            .env("GLISSON_CT", scene.with_file_name("ct.nii.gz"))
             .env("CHROMIUM", &chromium)
             .status()
             .context("cannot start npm")?;

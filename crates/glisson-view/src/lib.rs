@@ -4,6 +4,7 @@
 //! snapshot -> picture (software rasterizer) -> PNG;  numbers -> plot -> SVG
 //! Published (glisson_runtime) -> server: frames, messages -> WebSocket -> page (web/dist, embedded)
 //! page -> commands -> control (one controls, all may watch) -> Simulation
+//! image -> patient (its own page) -> scene -> Simulation
 //! ```
 //!
 //! The modules stand in data-flow order; a module uses only modules above it (`xtask/tests/layering.rs`).
@@ -11,3 +12,4 @@
 pub mod plot;
 pub mod picture;
 pub mod server;
+pub mod patient;

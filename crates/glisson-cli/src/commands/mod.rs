@@ -16,6 +16,7 @@ mod solve;
 mod fit;
 mod run;
 mod serve;
+mod patient;
 mod watch;
 mod device_page;
 mod devices;
@@ -47,6 +48,7 @@ enum Command {
     Fit(fit::Args),
     Run(run::Args),
     Serve(serve::Args),
+    Patient(patient::Args),
     Watch(watch::Args),
     Devices(devices::Args),
     Replay(replay::Args),
@@ -71,6 +73,7 @@ pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
         Command::Fit(args) => fit::run(args),
         Command::Run(args) => run::run(args),
         Command::Serve(args) => serve::run(args),
+        Command::Patient(args) => patient::run(args),
         Command::Watch(args) => watch::run(args),
         Command::Devices(args) => devices::run(args),
         Command::Replay(args) => replay::run(args),

@@ -14,6 +14,7 @@ use glisson_runtime::realtime::{CoreKept, OwnCore, make_punctual};
 use glisson_runtime::remote_figures::RemoteFigures;
 use glisson_runtime::workers::allowed_cores;
 use glisson_runtime::{OpenScene, Simulation};
+use glisson_view::patient::{self, PatientPage};
 use glisson_view::server::access::Access;
 use glisson_view::server::{self, Served, Service, Show, stop_signal};
 use std::net::TcpListener;
@@ -111,6 +112,23 @@ impl Address {
         haptics: HapticSettings,
         network: Network,
     ) -> anyhow::Result<()> {
+        let Network { remote, remote_figures, shows } = network;
+        let access = self.tell(&listener)?;
+        let service = Service { held, haptics, remote, remote_figures, shows, ..Service::to(access) };
+        serve_until_stopped(simulation, listener, service)
+    }
+
+    /// Serves the page for a new patient, and its simulation at the same address once that is ready.
+    pub(crate) fn serve_patient(&self, page: PatientPage, listener: TcpListener) -> anyhow::Result<()> {
+        let access = self.tell(&listener)?;
+        match patient::serve(listener.try_clone()?, access.clone(), page, stop_signal())? {
+            Some(simulation) => serve_until_stopped(simulation, listener, Service::to(access)),
+            None => Ok(()),
+        }
+    }
+
+    /// Says where the page is and opens a browser where there is a display; answers who may connect.
+    fn tell(&self, listener: &TcpListener) -> anyhow::Result<Access> {
         let address = listener.local_addr()?;
         let access = Access::for_address(address.ip(), self.given_token())?;
         let page = server::page_address(address) + &access.address_suffix();
@@ -129,19 +147,7 @@ impl Address {
                     .spawn(),
             ),
         }
-        let Network { remote, remote_figures, shows } = network;
-        let service = Service { held, haptics, remote, remote_figures, shows, ..Service::to(access) };
-        let Served { ended, haptics } = server::serve(simulation, listener, service, stop_signal())?;
-        if let Some(haptics) = haptics {
-            println!("{}", haptics.to_text());
-        }
-        println!("{}", ended.times.to_text());
-        if ended.lateness.n_given_up > 0 {
-            let Lateness { n_given_up, left_out_s } = ended.lateness;
-            println!("the simulation fell behind {n_given_up} times and left out {left_out_s:.1} s");
-        }
-        println!("stopped; state hash {}", ended.state_hash);
-        Ok(())
+        Ok(access)
     }
 
     fn opens_browser(&self, needs_token: bool, has_display: bool) -> Opening {
@@ -155,6 +161,25 @@ impl Address {
     fn given_token(&self) -> Option<String> {
         self.token.clone().or_else(|| std::env::var("GLISSON_TOKEN").ok())
     }
+}
+
+/// Serves until Ctrl-C, and says how it went.
+fn serve_until_stopped(
+    simulation: Simulation,
+    listener: TcpListener,
+    service: Service,
+) -> anyhow::Result<()> {
+    let Served { ended, haptics } = server::serve(simulation, listener, service, stop_signal())?;
+    if let Some(haptics) = haptics {
+        println!("{}", haptics.to_text());
+    }
+    println!("{}", ended.times.to_text());
+    if ended.lateness.n_given_up > 0 {
+        let Lateness { n_given_up, left_out_s } = ended.lateness;
+        println!("the simulation fell behind {n_given_up} times and left out {left_out_s:.1} s");
+    }
+    println!("stopped; state hash {}", ended.state_hash);
+    Ok(())
 }
 
 impl Args {

@@ -28,6 +28,7 @@ pub use look::Look;
 pub use slice::{SlicePlane, SliceSpec, slice_picture};
 pub use text::{Caption, CaptionPlace};
 
+use std::io::{self, Write};
 use std::path::Path;
 
 use anyhow::{Context, ensure};
@@ -97,18 +98,30 @@ impl Picture {
     /// # Errors
     /// When the file cannot be written.
     pub fn write_png(&self, path: &Path) -> anyhow::Result<()> {
-        let edge = |pixels: usize| u32::try_from(pixels).context("picture edge above 2^32 pixels");
-        let (width, height) = (edge(self.size[0])?, edge(self.size[1])?);
-        glisson::files::write_atomically(path, |writer| {
-            let mut encoder = png::Encoder::new(writer, width, height);
-            encoder.set_color(png::ColorType::Rgb);
-            encoder.set_depth(png::BitDepth::Eight);
-            encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
-            let mut image = encoder.write_header().map_err(std::io::Error::other)?;
-            image.write_image_data(&self.rgb).map_err(std::io::Error::other)?;
-            image.finish().map_err(std::io::Error::other)
-        })
-        .with_context(|| format!("writing the picture {}", path.display()))
+        glisson::files::write_atomically(path, |writer| self.encode(writer))
+            .with_context(|| format!("writing the picture {}", path.display()))
+    }
+
+    /// The picture as PNG.
+    ///
+    /// # Errors
+    /// When an edge has 2^32 pixels or more.
+    pub fn png(&self) -> anyhow::Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        self.encode(&mut bytes).context("writing a picture")?;
+        Ok(bytes)
+    }
+
+    fn encode(&self, out: impl Write) -> io::Result<()> {
+        let [width, height] = self.size.map(u32::try_from);
+        let too_large = |_| io::Error::other("picture edge above 2^32 pixels");
+        let mut encoder = png::Encoder::new(out, width.map_err(too_large)?, height.map_err(too_large)?);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+        let mut image = encoder.write_header().map_err(io::Error::other)?;
+        image.write_image_data(&self.rgb).map_err(io::Error::other)?;
+        image.finish().map_err(io::Error::other)
     }
 
     #[cfg(test)]

@@ -129,7 +129,7 @@ fn is_same(given: &str, token: &str) -> bool {
 
 /// Turns away whom [`Access::check`] refuses. A page that was opened with the token gets it as a cookie, which its
 /// further requests carry, and loses it from its address.
-pub(super) async fn guard(State(access): State<Arc<Access>>, request: Request, next: Next) -> Response {
+pub(crate) async fn guard(State(access): State<Arc<Access>>, request: Request, next: Next) -> Response {
     if let Err(refusal) = access.check(request.headers(), request.uri()) {
         let (status, text) = match refusal {
             Refusal::Origin => (StatusCode::FORBIDDEN, "only the viewer's own page may connect\n"),

@@ -34,7 +34,7 @@ const MOST_DISMISSED: usize = 16;
 const DISMISSING: Duration = Duration::from_secs(1);
 
 /// Accepts so many connections at a time; tells those beyond them that all are taken.
-pub(super) struct Places {
+pub(crate) struct Places {
     listener: TcpListener,
     free: Arc<Semaphore>,
     dismissed: Arc<Semaphore>,
@@ -42,7 +42,7 @@ pub(super) struct Places {
 }
 
 impl Places {
-    pub(super) fn new(listener: TcpListener) -> Self {
+    pub(crate) fn new(listener: TcpListener) -> Self {
         let [free, dismissed] = [MOST_CONNECTIONS, MOST_DISMISSED].map(|n| Arc::new(Semaphore::new(n)));
         Self { listener, free, dismissed, longest_quiet: LONGEST_QUIET }
     }
@@ -99,7 +99,7 @@ fn is_of_client(error: &io::Error) -> bool {
 }
 
 /// One connection; its place is free again when it ends.
-pub(super) struct Connection {
+pub(crate) struct Connection {
     stream: TcpStream,
     quiet: Pin<Box<Sleep>>,
     longest_quiet: Duration,

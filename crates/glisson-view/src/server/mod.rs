@@ -3,7 +3,7 @@
 pub mod access;
 mod allowance;
 mod hands;
-mod limits;
+pub(crate) mod limits;
 pub mod frames;
 mod messages;
 mod socket;
@@ -244,7 +244,8 @@ async fn latest_snapshot(State(shared): State<Arc<Shared>>) -> impl IntoResponse
     axum::Json(messages::snapshot(&published))
 }
 
-fn viewer_file(path: &str) -> Response {
+/// A file of the page.
+pub(crate) fn viewer_file(path: &str) -> Response {
     let content_type = match path.rsplit('.').next() {
         Some("html") => "text/html; charset=utf-8",
         Some("js") => "text/javascript",
@@ -256,7 +257,9 @@ fn viewer_file(path: &str) -> Response {
     };
     match ViewerFiles::get(path) {
         Some(file) => ([(header::CONTENT_TYPE, content_type)], file.data.into_owned()).into_response(),
-        None if path == "index.html" => ([(header::CONTENT_TYPE, content_type)], NOT_BUILT).into_response(),
+        None if path.ends_with(".html") => {
+            ([(header::CONTENT_TYPE, content_type)], NOT_BUILT).into_response()
+        }
         None => (StatusCode::NOT_FOUND, format!("no file {path}\n")).into_response(),
     }
 }

@@ -1,0 +1,37 @@
+//! `glisson patient`.
+
+use super::serve::Address;
+use glisson_runtime::{OpenScene, Simulation};
+use glisson_view::patient::PatientPage;
+use std::path::{Path, PathBuf};
+
+/// Bring a new patient in, in the browser: from an image to a simulation.
+///
+/// The page takes a folder or file that is dropped on it, shows three planes of it, finds the organ from points inside and outside
+/// it, fills it with tetrahedra and starts the simulation. Mesh and scene are written into a folder; the patient's name is not.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  glisson patient\n  glisson patient ct_folder/ --out out/patient\n  \
+    glisson patient labels.nii.gz --port 0\n\nThe steps as commands: glisson import, segment, mesh, serve.")]
+pub(crate) struct Args {
+    /// Image to begin with, a file or a DICOM folder; else the page asks for one
+    image: Option<PathBuf>,
+    /// Folder of the mesh and the scene
+    #[arg(long, short, value_name = "FOLDER", default_value = "out/patient")]
+    out: PathBuf,
+    /// Threads of models that can use several; the results do not depend on it
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
+    threads: u8,
+    #[command(flatten)]
+    address: Address,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    if let Some(image) = &args.image {
+        anyhow::ensure!(image.exists(), "{}: no such file or folder", image.display());
+    }
+    let listener = args.address.bind()?;
+    let n_threads = usize::from(args.threads);
+    let open = move |scene: &Path| Simulation::open(OpenScene { n_threads, ..OpenScene::read(scene)? }, None);
+    let page = PatientPage { folder: args.out.clone(), image: args.image.clone(), open: Box::new(open) };
+    args.address.serve_patient(page, listener)
+}

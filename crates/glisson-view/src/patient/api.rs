@@ -1,0 +1,376 @@
+//! What the page asks for, and the steps that run meanwhile.
+
+use anyhow::Context;
+use axum::Router;
+use axum::body::Bytes;
+use axum::extract::{DefaultBodyLimit, Path as UrlPath, State};
+use axum::http::{StatusCode, header};
+use axum::middleware::from_fn_with_state;
+use axum::response::{IntoResponse, Response};
+use axum::routing::{delete, get, post, put};
+use glisson::material::tissues::TISSUES;
+use glisson::math::DVec3;
+use glisson_runtime::Simulation;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::sync::Notify;
+use tokio::task::JoinError;
+
+use super::image::{Image, Meshed, Organ, series_of};
+use super::scene::{HELD, MODELS, SceneChoice};
+use super::upload::Upload;
+use crate::picture::SlicePlane;
+use crate::server::access::{self, Access};
+use crate::server::limits::Places;
+use crate::server::viewer_file;
+
+/// One file at most [bytes].
+const MOST_FILE: usize = 2 << 30;
+/// Tetrahedra of an organ: least, what is offered, most.
+const TETRAHEDRA: [usize; 3] = [500, 6_000, 200_000];
+/// The organ's mesh beside its scene.
+const MESH_NAME: &str = "organ.vtu";
+
+/// Until a simulation that is ready takes over from the page, unless the page asks before. A choice.
+const UNTIL_TOLD: Duration = Duration::from_secs(3);
+
+/// Opens the simulation of a scene.
+pub type OpenSimulation = Box<dyn Fn(&Path) -> anyhow::Result<Simulation> + Send + Sync>;
+
+/// A page for one patient.
+pub struct PatientPage {
+    /// Where mesh and scene are written.
+    pub folder: PathBuf,
+    /// An image to begin with; else the page asks for one.
+    pub image: Option<PathBuf>,
+    /// Opens the simulation of the scene that was written.
+    pub open: OpenSimulation,
+}
+
+/// How far the patient is.
+#[derive(Default)]
+struct Steps {
+    image: Option<Arc<Image>>,
+    /// Series to choose from, where there are several.
+    series: Vec<String>,
+    organ: Option<Arc<Organ>>,
+    mesh: Option<Arc<Meshed>>,
+    simulation: Option<Simulation>,
+    /// What runs, and since when.
+    job: Option<(&'static str, Instant)>,
+    error: Option<String>,
+    /// Grows whenever pictures change.
+    version: u64,
+}
+
+struct Shared {
+    steps: Mutex<Steps>,
+    upload: Upload,
+    /// The image that the program was started with.
+    image: Option<PathBuf>,
+    folder: PathBuf,
+    open: OpenSimulation,
+    started: Notify,
+}
+
+impl Shared {
+    fn steps(&self) -> MutexGuard<'_, Steps> {
+        self.steps.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What became of a step; answers whether the simulation is ready.
+    fn end_job(&self, what: &str, result: Result<anyhow::Result<Change>, JoinError>) -> bool {
+        let mut steps = self.steps();
+        steps.job = None;
+        match result {
+            Ok(Ok(change)) => {
+                change(&mut steps);
+                // Where the simulation takes over, nobody is left to draw anew.
+                steps.version += u64::from(steps.simulation.is_none());
+            }
+            Ok(Err(error)) => steps.error = Some(format!("{error:#}")),
+            Err(_) => {
+                steps.error = Some(format!("{what} failed by a fault of the program; its output says where"));
+            }
+        }
+        steps.simulation.is_some()
+    }
+
+    fn state(&self) -> Value {
+        let steps = self.steps();
+        let job =
+            steps.job.map(|(what, since)| json!({"what": what, "seconds": since.elapsed().as_secs_f64()}));
+        json!({
+            "version": steps.version,
+            "job": job,
+            "error": steps.error,
+            "series": steps.series,
+            "image": steps.image.as_ref().map(|image| &image.summary),
+            "organ": steps.organ.as_ref().map(|organ| &organ.summary),
+            "mesh": steps.mesh.as_ref().map(|mesh| &mesh.summary),
+            "started": steps.simulation.is_some(),
+            "offers": {
+                "tissues": TISSUES.iter().map(|tissue| tissue.name).collect::<Vec<_>>(),
+                "models": MODELS.iter().map(|model| json!({"name": model.name, "about": model.about})).collect::<Vec<_>>(),
+                "held": HELD.iter().map(|held| held.name).collect::<Vec<_>>(),
+                "tetrahedra": TETRAHEDRA,
+            },
+        })
+    }
+}
+
+/// What a step changes when it is done.
+type Change = Box<dyn FnOnce(&mut Steps) + Send>;
+
+/// Begins a step, unless one runs. The answer comes at once, what became of it with the state.
+fn begin(
+    shared: &Arc<Shared>,
+    what: &'static str,
+    work: impl FnOnce(&Shared) -> anyhow::Result<Change> + Send + 'static,
+) -> Response {
+    {
+        let mut steps = shared.steps();
+        if let Some((running, _)) = steps.job {
+            return (StatusCode::CONFLICT, format!("still {running}\n")).into_response();
+        }
+        steps.job = Some((what, Instant::now()));
+        steps.error = None;
+    }
+    let (for_work, shared) = (Arc::clone(shared), Arc::clone(shared));
+    tokio::spawn(async move {
+        let result = tokio::task::spawn_blocking(move || work(&for_work)).await;
+        if shared.end_job(what, result) {
+            // The page is to hear of it from this server; then it looks for the next one.
+            tokio::time::sleep(UNTIL_TOLD).await;
+            shared.started.notify_one();
+        }
+    });
+    StatusCode::ACCEPTED.into_response()
+}
+
+/// Reads what came, or the image that the program was started with.
+fn open(shared: &Arc<Shared>, series: Option<usize>) -> Response {
+    begin(shared, "reading the image", move |shared| {
+        let path = match (shared.upload.image(), &shared.image) {
+            (Ok(path), _) => path,
+            (Err(_), Some(path)) => path.clone(),
+            (Err(error), None) => return Err(error),
+        };
+        let read = Image::read(&path, series);
+        let several = if read.is_err() && series.is_none() { series_of(&path) } else { Vec::new() };
+        let image = match read {
+            Ok(image) => Some(Arc::new(image)),
+            // The page asks which.
+            Err(_) if !several.is_empty() => None,
+            Err(error) => {
+                shared.upload.clear()?;
+                return Err(error);
+            }
+        };
+        if image.is_some() {
+            shared.upload.clear()?;
+        }
+        Ok(Box::new(move |steps: &mut Steps| {
+            (steps.image, steps.series, steps.organ, steps.mesh) = (image, several, None, None);
+        }))
+    })
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct OpenChoice {
+    series: Option<usize>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct OrganChoice {
+    inside_mm: Vec<[f64; 3]>,
+    outside_mm: Vec<[f64; 3]>,
+    label: Option<String>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MeshChoice {
+    tetrahedra: usize,
+}
+
+fn find_organ(shared: &Arc<Shared>, choice: OrganChoice) -> Response {
+    let image = shared.steps().image.clone();
+    begin(shared, "finding the organ", move |_| {
+        let image = image.context("there is no image yet")?;
+        let in_m = |points: Vec<[f64; 3]>| points.into_iter().map(|p| 1e-3 * DVec3::from_array(p)).collect();
+        let organ = match &choice.label {
+            Some(label) => image.choose_label(label),
+            None => image.find_organ(in_m(choice.inside_mm), in_m(choice.outside_mm)),
+        }?;
+        Ok(Box::new(move |steps: &mut Steps| (steps.organ, steps.mesh) = (Some(Arc::new(organ)), None)))
+    })
+}
+
+fn fill(shared: &Arc<Shared>, choice: &MeshChoice) -> Response {
+    let organ = shared.steps().organ.clone();
+    let [least, _, most] = TETRAHEDRA;
+    let n_tets = choice.tetrahedra;
+    begin(shared, "filling the organ with tetrahedra", move |shared| {
+        let organ = organ.context("there is no organ yet")?;
+        anyhow::ensure!(
+            (least..=most).contains(&n_tets),
+            "found {n_tets} tetrahedra, allowed: {least} to {most}"
+        );
+        std::fs::create_dir_all(&shared.folder).with_context(|| shared.folder.display().to_string())?;
+        let mesh = organ.mesh(n_tets, &shared.folder.join(MESH_NAME))?;
+        Ok(Box::new(move |steps: &mut Steps| steps.mesh = Some(Arc::new(mesh))))
+    })
+}
+
+fn start(shared: &Arc<Shared>, choice: SceneChoice) -> Response {
+    let mesh = shared.steps().mesh.clone();
+    begin(shared, "starting the simulation", move |shared| {
+        let mesh = mesh.context("there are no tetrahedra yet")?;
+        let scene = choice.write(&mesh.mesh, MESH_NAME, &shared.folder)?;
+        let simulation = (shared.open)(&scene)?;
+        Ok(Box::new(move |steps: &mut Steps| steps.simulation = Some(simulation)))
+    })
+}
+
+fn png(picture: anyhow::Result<Vec<u8>>) -> Response {
+    match picture {
+        Ok(bytes) => ([(header::CONTENT_TYPE, "image/png"), (header::CACHE_CONTROL, "no-store")], bytes)
+            .into_response(),
+        Err(error) => (StatusCode::BAD_REQUEST, format!("{error:#}\n")).into_response(),
+    }
+}
+
+fn plane_named(name: &str) -> Option<SlicePlane> {
+    match name {
+        "axial" => Some(SlicePlane::Axial),
+        "coronal" => Some(SlicePlane::Coronal),
+        "sagittal" => Some(SlicePlane::Sagittal),
+        _ => None,
+    }
+}
+
+/// Plane, a point of it [mm], centre and width of the window.
+type SliceAt = (String, f64, f64, f64, f64, f64);
+
+async fn slice(State(shared): State<Arc<Shared>>, UrlPath(at): UrlPath<SliceAt>) -> Response {
+    let (plane, x, y, z, centre, width) = at;
+    let (image, organ) = {
+        let steps = shared.steps();
+        (steps.image.clone(), steps.organ.clone())
+    };
+    let drawn = tokio::task::spawn_blocking(move || {
+        let image = image.context("there is no image yet")?;
+        let plane = plane_named(&plane).context("allowed planes: axial, coronal, sagittal")?;
+        let numbers = [x, y, z, centre, width];
+        anyhow::ensure!(numbers.iter().all(|x| x.is_finite()), "a number of the slice is not finite");
+        image.slice_png(organ.as_deref(), plane, 1e-3 * DVec3::new(x, y, z), [centre, width])
+    });
+    png(drawn.await.unwrap_or_else(|error| Err(error.into())))
+}
+
+async fn state(State(shared): State<Arc<Shared>>) -> Response {
+    let state = shared.state();
+    if state["started"] == true {
+        shared.started.notify_one();
+    }
+    axum::Json(state).into_response()
+}
+
+async fn picture(State(shared): State<Arc<Shared>>) -> Response {
+    let mesh = shared.steps().mesh.clone();
+    png(mesh.map(|mesh| mesh.picture.clone()).context("there are no tetrahedra yet"))
+}
+
+async fn keep(State(shared): State<Arc<Shared>>, UrlPath(name): UrlPath<String>, bytes: Bytes) -> Response {
+    let kept = tokio::task::spawn_blocking(move || shared.upload.keep(&name, &bytes));
+    match kept.await.unwrap_or_else(|error| Err(error.into())) {
+        Ok(()) => StatusCode::NO_CONTENT.into_response(),
+        Err(error) => (StatusCode::INSUFFICIENT_STORAGE, format!("{error:#}\n")).into_response(),
+    }
+}
+
+async fn discard(State(shared): State<Arc<Shared>>) -> Response {
+    let cleared = tokio::task::spawn_blocking(move || shared.upload.clear());
+    match cleared.await.unwrap_or_else(|error| Err(error.into())) {
+        Ok(()) => StatusCode::NO_CONTENT.into_response(),
+        Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{error:#}\n")).into_response(),
+    }
+}
+
+type Asked<T> = (State<Arc<Shared>>, axum::Json<T>);
+
+fn router(shared: Arc<Shared>, access: Access) -> Router {
+    Router::new()
+        .route("/api/patient/state", get(state))
+        .route("/api/patient/files", delete(discard))
+        .route("/api/patient/files/{name}", put(keep).layer(DefaultBodyLimit::max(MOST_FILE)))
+        .route("/api/patient/slice/{plane}/{x}/{y}/{z}/{centre}/{width}", get(slice))
+        .route("/api/patient/picture.png", get(picture))
+        .route(
+            "/api/patient/open",
+            post(|(State(s), axum::Json(c)): Asked<OpenChoice>| async move { open(&s, c.series) }),
+        )
+        .route(
+            "/api/patient/organ",
+            post(|(State(s), axum::Json(c)): Asked<OrganChoice>| async move { find_organ(&s, c) }),
+        )
+        .route(
+            "/api/patient/mesh",
+            post(|(State(s), axum::Json(c)): Asked<MeshChoice>| async move { fill(&s, &c) }),
+        )
+        .route(
+            "/api/patient/start",
+            post(|(State(s), axum::Json(c)): Asked<SceneChoice>| async move { start(&s, c) }),
+        )
+        .route("/", get(|| async { viewer_file("patient.html") }))
+        .route("/{*path}", get(|UrlPath(path): UrlPath<String>| async move { viewer_file(&path) }))
+        .layer(from_fn_with_state(Arc::new(access), access::guard))
+        .with_state(shared)
+}
+
+/// Serves the page until its simulation is ready, which is the answer, or until `stop` comes: then there is none.
+///
+/// # Errors
+/// A listener that cannot be used; files of an earlier page that cannot be deleted.
+pub fn serve(
+    listener: TcpListener,
+    access: Access,
+    page: PatientPage,
+    stop: impl Future<Output = ()>,
+) -> anyhow::Result<Option<Simulation>> {
+    let PatientPage { folder, image, open: open_scene } = page;
+    let upload = Upload::new(folder.join("incoming.partial"))?;
+    let has_image = image.is_some();
+    let shared = Arc::new(Shared {
+        steps: Mutex::default(),
+        upload,
+        image,
+        folder,
+        open: open_scene,
+        started: Notify::new(),
+    });
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let for_pages = Arc::clone(&shared);
+    runtime.block_on(async move {
+        if has_image {
+            open(&for_pages, None);
+        }
+        let listener = tokio::net::TcpListener::from_std(listener)?;
+        let ready = Arc::clone(&for_pages);
+        let server = axum::serve(Places::new(listener), router(for_pages, access))
+            .with_graceful_shutdown(async move { ready.started.notified().await });
+        tokio::select! {
+            result = server.into_future() => result.context("the server stopped"),
+            () = stop => Ok(()),
+        }
+    })?;
+    let simulation = shared.steps().simulation.take();
+    Ok(simulation)
+}

@@ -1,0 +1,81 @@
+/** Geometry of the three planes: which patient position a place in a picture is. */
+import type { PlaneName, Point } from "./state";
+
+interface Axis {
+  /** Of the patient frame, LPS. */
+  readonly axis: 0 | 1 | 2;
+  /** Whether it grows to the right, or down. */
+  readonly grows: boolean;
+}
+
+/** To the right and down in the picture, as in picture/slice.rs. */
+export const AXES: Readonly<Record<PlaneName, readonly [Axis, Axis]>> = {
+  axial: [
+    { axis: 0, grows: true },
+    { axis: 1, grows: true },
+  ],
+  coronal: [
+    { axis: 0, grows: true },
+    { axis: 2, grows: false },
+  ],
+  sagittal: [
+    { axis: 1, grows: true },
+    { axis: 2, grows: false },
+  ],
+};
+
+/** The axis along which the plane moves. */
+export function normalAxis(plane: PlaneName): 0 | 1 | 2 {
+  return plane === "axial" ? 2 : plane === "coronal" ? 1 : 0;
+}
+
+export interface Box {
+  readonly from_mm: Point;
+  readonly to_mm: Point;
+}
+
+function withAxis(point: Point, axis: number, value: number): Point {
+  return point.map((x, i) => (i === axis ? value : x)) as unknown as Point;
+}
+
+/** `point` kept in the box. */
+export function clamped(box: Box, point: Point): Point {
+  return point.map((x, i) => Math.min(Math.max(x, box.from_mm[i]!), box.to_mm[i]!)) as unknown as Point;
+}
+
+/** Where a point is in the picture of a plane: shares of its width and height. */
+export function shareOf(plane: PlaneName, box: Box, point: Point): [number, number] {
+  const share = ({ axis, grows }: Axis): number => {
+    const size = box.to_mm[axis]! - box.from_mm[axis]!;
+    const along = size > 0 ? (point[axis]! - box.from_mm[axis]!) / size : 0.5;
+    return grows ? along : 1 - along;
+  };
+  return [share(AXES[plane][0]), share(AXES[plane][1])];
+}
+
+/** The point at shares of the picture's width and height, at the depth of `cross`. */
+export function pointAt(plane: PlaneName, box: Box, cross: Point, shares: readonly [number, number]): Point {
+  let point = cross;
+  for (const [i, { axis, grows }] of AXES[plane].entries()) {
+    const along = grows ? shares[i]! : 1 - shares[i]!;
+    point = withAxis(point, axis, box.from_mm[axis]! + along * (box.to_mm[axis]! - box.from_mm[axis]!));
+  }
+  return clamped(box, point);
+}
+
+/** `cross` moved by voxels to the right, down, and along the normal. */
+export function moved(plane: PlaneName, box: Box, cross: Point, spacing_mm: number, by: readonly [number, number, number]): Point {
+  let point = cross;
+  for (const [i, { axis, grows }] of AXES[plane].entries()) {
+    point = withAxis(point, axis, point[axis]! + (grows ? by[i]! : -by[i]!) * spacing_mm);
+  }
+  const normal = normalAxis(plane);
+  return clamped(box, withAxis(point, normal, point[normal]! + by[2] * spacing_mm));
+}
+
+/** Width over height of a plane's picture. */
+export function aspect(plane: PlaneName, box: Box): number {
+  const [right, down] = AXES[plane];
+  const size = ({ axis }: Axis): number => Math.max(box.to_mm[axis]! - box.from_mm[axis]!, 1e-3);
+  return size(right) / size(down);
+}

@@ -29,17 +29,12 @@ const SLICE_HEIGHT: usize = 420;
 /// Size of the organ's picture [pixels].
 const ORGAN_SIZE: [usize; 2] = [640, 420];
 
-/// What an image holds.
-pub(super) enum Contents {
-    /// Values of tissue: an organ is to be found.
-    Values(Volume<f32>),
-    /// Organs that were found elsewhere, with the numbers as values to show.
-    Labels(LabelMap, Volume<f32>),
-}
-
 /// An image as it was read.
 pub(super) struct Image {
-    pub(super) contents: Contents,
+    /// Values of tissue, or the numbers of labels.
+    volume: Volume<f32>,
+    /// Organs that were found elsewhere; none where an organ is to be found.
+    labels: Option<LabelMap>,
     /// What the page shows of it.
     pub(super) summary: Value,
 }
@@ -108,17 +103,7 @@ impl Image {
             "labels": organs,
             "notes": stored.notes,
         });
-        let contents = match labels {
-            Some(map) => Contents::Labels(map, volume),
-            None => Contents::Values(volume),
-        };
-        Self { contents, summary }
-    }
-
-    fn volume(&self) -> &Volume<f32> {
-        match &self.contents {
-            Contents::Values(volume) | Contents::Labels(_, volume) => volume,
-        }
+        Self { volume, labels, summary }
     }
 
     /// A slice as PNG, with the organ, or the image's own labels, over it.
@@ -129,7 +114,6 @@ impl Image {
         through_m: DVec3,
         window_centre_width: [f64; 2],
     ) -> anyhow::Result<Vec<u8>> {
-        let own = if let Contents::Labels(map, _) = &self.contents { Some(map) } else { None };
         let spec = SliceSpec {
             plane,
             through_m,
@@ -138,23 +122,21 @@ impl Image {
             height: SLICE_HEIGHT,
             caption: String::new(),
         };
-        slice_picture(self.volume(), organ.map(|organ| &organ.map).or(own), &spec)?.png()
+        slice_picture(&self.volume, organ.map(|organ| &organ.map).or(self.labels.as_ref()), &spec)?.png()
     }
 
     /// The organ around points inside and away from those outside; without points the liver.
     pub(super) fn find_organ(&self, inside_m: Vec<DVec3>, outside_m: Vec<DVec3>) -> anyhow::Result<Organ> {
-        let Contents::Values(volume) = &self.contents else {
-            anyhow::bail!("the image holds labels: choose one of them");
-        };
-        let found = segment_with_seeds(volume, &Seeds { inside_m, outside_m }, &SeededParams::default())?;
+        ensure!(self.labels.is_none(), "the image holds labels: choose one of them");
+        let found =
+            segment_with_seeds(&self.volume, &Seeds { inside_m, outside_m }, &SeededParams::default())?;
         Ok(Organ::of(self, &found.mask))
     }
 
     /// The organ of a label.
     pub(super) fn choose_label(&self, name: &str) -> anyhow::Result<Organ> {
-        let Contents::Labels(map, _) = &self.contents else {
-            anyhow::bail!("the image holds values, no labels: find the organ by points");
-        };
+        let map =
+            self.labels.as_ref().context("the image holds values, no labels: find the organ by points")?;
         let selection = map.select(name, Parts::Included)?;
         Ok(Organ::of(self, &map.mask(&selection)))
     }
@@ -162,7 +144,7 @@ impl Image {
 
 impl Organ {
     fn of(image: &Image, mask: &[bool]) -> Self {
-        let grid = image.volume().grid.clone();
+        let grid = image.volume.grid.clone();
         let summary = json!({
             "volume_ml": 1e6 * mask_volume_m3(&grid, mask),
             "cut_off_at": sides_at_border(&grid, mask),

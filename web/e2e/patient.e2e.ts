@@ -50,13 +50,20 @@ describe.skipIf(url === undefined || ct === undefined || out === undefined)(`a n
     // What is no image is refused in words, and the page goes on.
     await page.setInputFiles("#files", [{ name: "letter.txt", mimeType: "text/plain", buffer: Buffer.from("Dear colleague") }]);
     await page.waitForSelector("#error:not([hidden])");
-    expect(await page.textContent("#error")).toContain("letter.txt");
+    expect(await page.textContent("#error")).toContain("the image");
 
     await page.setInputFiles("#files", dicomSeries(ct!));
     await page.waitForSelector("#organ:not([hidden])", { timeout: 90_000 });
     expect(await page.textContent("#found")).toContain("DICOM, CT");
     await page.waitForTimeout(800);
     await page.screenshot({ path: resultFile("patient_2_image.png") });
+
+    const slice = await page.textContent("figure:has(#axial) figcaption");
+    await page.mouse.move(800, 200);
+    await page.mouse.wheel(0, 100);
+    await page.waitForFunction((before) => document.querySelector("figure:has(#axial) figcaption")!.textContent !== before, slice);
+    await page.mouse.wheel(0, -100);
+    await page.waitForFunction((before) => document.querySelector("figure:has(#axial) figcaption")!.textContent === before, slice);
 
     // A point by the mouse in the right lobe, one outside by keys.
     const axial = (await page.locator("#axial").boundingBox())!;

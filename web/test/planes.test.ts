@@ -24,9 +24,9 @@ describe("planes", () => {
   });
 
   it("move by voxels and stay in the image", () => {
-    expect(moved("axial", BOX, [0, 0, 100], 2, [1, -1, 1])).toEqual([2, -2, 102]);
-    expect(moved("coronal", BOX, [0, 0, 100], 2, [0, 1, -1])).toEqual([0, -2, 98]);
-    expect(moved("sagittal", BOX, [0, 0, 249], 2, [0, -1, 100])).toEqual([100, 0, 250]);
+    expect(moved("axial", BOX, [0, 0, 100], [2, 2, 5], [1, -1, 1])).toEqual([2, -2, 105]);
+    expect(moved("coronal", BOX, [0, 0, 100], [2, 2, 5], [0, 1, -1])).toEqual([0, -2, 95]);
+    expect(moved("sagittal", BOX, [0, 0, 249], [2, 2, 5], [0, -1, 100])).toEqual([100, 0, 250]);
   });
 
   it("have the image's proportions", () => {

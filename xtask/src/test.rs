@@ -175,6 +175,9 @@ fn browser(scene: &Path) -> anyhow::Result<()> {
         let server = Served::serve(&program(), scene, more)?;
         let address = format!("http://{}", server.says_after("http://", SERVER_START)?);
         let out = scene.with_file_name("patient");
+        if out.exists() {
+            std::fs::remove_dir_all(&out).with_context(|| out.display().to_string())?;
+        }
         let patient = Served::patient(&program(), &out)?;
         let patient_address = format!("http://{}", patient.says_after("http://", SERVER_START)?);
         println!("$ npm run {tests} (GLISSON_URL={address}) {}", more.join(" "));

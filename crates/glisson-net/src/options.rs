@@ -288,7 +288,7 @@ impl LinkOptions {
         figures: RemoteFigures,
     ) -> anyhow::Result<(Conversation, Vec<ToolLink>)> {
         let homes: Vec<ToolInput> = simulation.world().tools().iter().map(|tool| tool.home).collect();
-        let scene = scene_hash(scene_text, &mesh_hash(simulation.mesh()));
+        let scene = scene_hash(scene_text, &simulation.mesh_hash());
         let (link, identity) = self.open(scene, homes.len())?;
         Ok(start_simulation(link, identity, &homes, figures)?)
     }
@@ -307,7 +307,7 @@ impl LinkOptions {
         let body = read_organ(&source.scene, &source.folder).with_context(|| source.origin.clone())?;
         let tools = read_tools(&source.scene, &source.folder).with_context(|| source.origin.clone())?;
         let surface = SurfaceList::of_mesh(&body.mesh).with_context(|| source.origin.clone())?;
-        let scene = scene_hash(&source.scene.text, &mesh_hash(&body.mesh));
+        let scene = scene_hash(&source.scene.text, &mesh_hash(&body));
         let (link, identity) = self.open(scene, tools.len())?;
         let n_triangles = surface.triangles.len();
         let (young_pa, poisson) = (body.material.young_modulus_pa(), body.material.poisson_ratio());

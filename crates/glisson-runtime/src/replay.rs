@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow, bail, ensure};
 use glisson::mesh::refine::FineRegion;
 use glisson::model::StateHash;
 use glisson::record::session::{Session, SessionEvent, parse_session};
-use glisson::scene::{Scene, mesh_hash};
+use glisson::scene::Scene;
 use glisson::world::StepInput;
 use std::path::Path;
 
@@ -46,7 +46,7 @@ fn open_recorded(session: &Session, folder: &Path) -> anyhow::Result<Simulation>
         )
     })?;
     simulation.leave_orders_to_the_session();
-    let found = mesh_hash(simulation.mesh());
+    let found = simulation.mesh_hash();
     if found != session.header.mesh_hash {
         bail!(
             "the mesh is not the one of the recording: BLAKE3 {found}, recorded {}; give the right folder with --folder",

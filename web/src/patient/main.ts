@@ -23,8 +23,11 @@ const points: ShownPoint[] = [];
 let state: PatientState | null = null;
 let cross: Cross | null = null;
 let window_: [number, number] = [0, 1];
-/** The image whose controls are set up, as the version in which it came. */
-let shownImage = "";
+/** The number of the image whose controls are set up. */
+let shownImage = 0;
+/** What the server said went wrong, as it was shown. */
+let serverError: string | null = null;
+let isSending = false;
 
 const views = new Map(
   PLANES.map((plane) => [plane, new PlaneView(plane, part(plane), { go, setPoint })] as const),
@@ -105,7 +108,7 @@ function options(select: HTMLSelectElement, list: readonly { readonly value: str
 function setUpImage(image: ImageSummary): void {
   const box: Box = { from_mm: image.from_mm, to_mm: image.to_mm };
   const middle = image.from_mm.map((x, i) => 0.5 * (x + image.to_mm[i]!)) as unknown as Point;
-  cross = { box, spacing_mm: image.spacing_mm, at_mm: middle };
+  cross = { box, steps_mm: image.steps_mm, at_mm: middle };
   points.length = 0;
   showPoints();
   window_ = [...image.window];
@@ -131,30 +134,41 @@ function setUpImage(image: ImageSummary): void {
   );
 }
 
-function say(words: string, isError: boolean): void {
-  errorLine.hidden = !isError;
-  errorLine.textContent = isError ? words : "";
-  if (isError) console.warn(words);
+/** Shows what went wrong, until the next thing is done. */
+function complain(words: string | null): void {
+  errorLine.hidden = words === null;
+  errorLine.textContent = words ?? "";
+  if (words !== null) console.warn(words);
+}
+
+function complainOf(error: unknown): void {
+  complain(error instanceof Error ? error.message : String(error));
 }
 
 function show(now: PatientState): void {
   const isNew = state === null || state.version !== now.version;
   state = now;
   const { image, organ, mesh, job } = now;
-  status.textContent = job === null ? stepWords(now) : `${job.what}… ${job.seconds.toFixed(0)} s`;
-  status.classList.toggle("busy", job !== null);
-  if (job === null || now.error !== null) say(now.error ?? "", now.error !== null);
-  const series = part("series");
-  series.hidden = now.series.length === 0;
-  series.replaceChildren(...now.series.map(seriesButton));
+  if (!isSending) {
+    status.textContent = job === null ? stepWords(now) : `${job.what}… ${job.seconds.toFixed(0)} s`;
+    status.classList.toggle("busy", job !== null);
+  }
+  if (now.error !== serverError) {
+    serverError = now.error;
+    complain(now.error);
+  }
+  if (isNew) {
+    const series = part("series");
+    series.hidden = now.series.length === 0;
+    series.replaceChildren(...now.series.map(seriesButton));
+  }
   part("organ").hidden = part("planes").hidden = image === null;
   part("mesh").hidden = organ === null;
   part("start").hidden = mesh === null;
   for (const button of document.querySelectorAll<HTMLButtonElement>("main section > button")) button.disabled = job !== null;
   if (image === null) return;
-  const key = JSON.stringify(image);
-  if (key !== shownImage) {
-    shownImage = key;
+  if (now.image_number !== shownImage) {
+    shownImage = now.image_number;
     setUpImage(image);
   }
   part("by-label").hidden = !choosesByLabel();
@@ -194,7 +208,7 @@ function show(now: PatientState): void {
 }
 
 function stepWords(now: PatientState): string {
-  if (now.series.length > 0) return "the folder holds several series: choose one";
+  if (now.image === null && now.series.length > 0) return "the folder holds several series: choose one";
   if (now.image === null) return "waiting for an image";
   if (now.organ === null) return choosesByLabel() ? "choose the organ's label" : "set points in and around the organ, then find it";
   if (now.mesh === null) return "fill the organ with tetrahedra";
@@ -211,24 +225,35 @@ function seriesButton(words: string, place: number): HTMLLIElement {
 }
 
 async function step(name: "open" | "organ" | "mesh" | "start", choice: object): Promise<void> {
+  complain(null);
   try {
     await post(name, choice);
+    serverError = null;
     await ask();
   } catch (error) {
-    say(error instanceof Error ? error.message : String(error), true);
+    complainOf(error);
   }
 }
 
 async function take(files: readonly File[]): Promise<void> {
-  if (files.length === 0) return;
+  if (isSending) return;
+  complain(null);
+  if (files.length === 0) {
+    complain("there is no file of an image in it");
+    return;
+  }
+  isSending = true;
+  status.classList.add("busy");
+  let upload: number | undefined;
   try {
-    await sendFiles(files, (done) => {
+    upload = await sendFiles(files, (done) => {
       status.textContent = `sending ${done} of ${files.length} files…`;
     });
-    await step("open", {});
   } catch (error) {
-    say(error instanceof Error ? error.message : String(error), true);
+    complainOf(error);
   }
+  isSending = false;
+  if (upload !== undefined) await step("open", { upload });
 }
 
 let timer: number | undefined;
@@ -248,6 +273,11 @@ async function ask(): Promise<void> {
       return;
     }
   } catch (error) {
+    // Another page may have started the simulation.
+    if (await isSimulationThere()) {
+      location.reload();
+      return;
+    }
     status.textContent = "the server does not answer";
     console.warn(error);
   }
@@ -255,18 +285,20 @@ async function ask(): Promise<void> {
   timer = window.setTimeout(() => void ask(), state?.job != null ? ASK_BUSY_MS : ASK_IDLE_MS);
 }
 
+/** Whether the simulation is served at this address by now. */
+async function isSimulationThere(): Promise<boolean> {
+  try {
+    return (await (await fetch("/", { cache: "no-store" })).text()).includes('id="scene"');
+  } catch (error) {
+    console.warn(error);
+    return false;
+  }
+}
+
 /** The simulation is served at this address in a moment: then a reload shows it. */
 async function goToSimulation(): Promise<void> {
   status.textContent = "starting the simulation…";
-  for (;;) {
-    try {
-      const page = await (await fetch("/", { cache: "no-store" })).text();
-      if (page.includes('id="scene"')) break;
-    } catch (error) {
-      console.warn(error);
-    }
-    await new Promise((resolve) => setTimeout(resolve, ASK_BUSY_MS));
-  }
+  while (!(await isSimulationThere())) await new Promise((resolve) => setTimeout(resolve, ASK_BUSY_MS));
   location.reload();
 }
 
@@ -284,7 +316,12 @@ part("run").addEventListener("click", () => {
 });
 for (const id of ["folder", "files"]) {
   const input = part<HTMLInputElement>(id);
-  input.addEventListener("change", () => void take(imageFiles([...(input.files ?? [])])));
+  input.addEventListener("change", () => {
+    const files = imageFiles([...(input.files ?? [])]);
+    // The same file may be chosen again.
+    input.value = "";
+    void take(files);
+  });
 }
 for (const [place, id] of ["centre", "width"].entries()) {
   const input = part<HTMLInputElement>(id);
@@ -302,7 +339,7 @@ document.addEventListener("dragleave", () => drop.classList.remove("over"));
 document.addEventListener("drop", (event) => {
   event.preventDefault();
   drop.classList.remove("over");
-  if (event.dataTransfer !== null) void droppedFiles(event.dataTransfer).then(take);
+  if (event.dataTransfer !== null) droppedFiles(event.dataTransfer).then(take, complainOf);
 });
 document.addEventListener("keydown", (event) => {
   const isTyping = event.target instanceof HTMLInputElement && event.target.type === "number";

@@ -63,14 +63,15 @@ export function pointAt(plane: PlaneName, box: Box, cross: Point, shares: readon
   return clamped(box, point);
 }
 
-/** `cross` moved by voxels to the right, down, and along the normal. */
-export function moved(plane: PlaneName, box: Box, cross: Point, spacing_mm: number, by: readonly [number, number, number]): Point {
+/** `cross` moved by voxels to the right, down, and along the normal; `steps_mm` are their sizes along the patient's axes. */
+export function moved(plane: PlaneName, box: Box, cross: Point, steps_mm: Point, by: readonly [number, number, number]): Point {
+  const [right, down] = AXES[plane];
+  const along: readonly Axis[] = [right, down, { axis: normalAxis(plane), grows: true }];
   let point = cross;
-  for (const [i, { axis, grows }] of AXES[plane].entries()) {
-    point = withAxis(point, axis, point[axis]! + (grows ? by[i]! : -by[i]!) * spacing_mm);
+  for (const [i, { axis, grows }] of along.entries()) {
+    point = withAxis(point, axis, point[axis]! + (grows ? by[i]! : -by[i]!) * steps_mm[axis]!);
   }
-  const normal = normalAxis(plane);
-  return clamped(box, withAxis(point, normal, point[normal]! + by[2] * spacing_mm));
+  return clamped(box, point);
 }
 
 /** Width over height of a plane's picture. */

@@ -8,6 +8,8 @@ export interface ImageSummary {
   readonly modality: string | null;
   readonly voxels: Point;
   readonly spacing_mm: Point;
+  /** Distance of the voxels' layers along each patient axis. */
+  readonly steps_mm: Point;
   /** Corners of the image's box, LPS [mm]. */
   readonly from_mm: Point;
   readonly to_mm: Point;
@@ -35,7 +37,10 @@ export interface MeshSummary {
 }
 
 export interface PatientState {
+  /** Grows whenever pictures change. */
   readonly version: number;
+  /** Grows with each image. */
+  readonly image_number: number;
   readonly job: { readonly what: string; readonly seconds: number } | null;
   readonly error: string | null;
   readonly series: readonly string[];
@@ -70,17 +75,14 @@ export async function post(step: "open" | "organ" | "mesh" | "start", choice: ob
   await asked(step, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(choice) });
 }
 
-/** Sends files, in the place of what was sent before; tells how many have gone. */
-export async function sendFiles(files: readonly File[], tell: (done: number) => void): Promise<void> {
-  await asked("files", { method: "DELETE" });
-  const names = new Set<string>();
+/** Sends the files of an image; answers the number under which they came. */
+export async function sendFiles(files: readonly File[], tell: (done: number) => void): Promise<number> {
+  const { upload } = (await (await asked("files", { method: "POST" })).json()) as { upload: number };
   for (const [number, file] of files.entries()) {
-    // Slices in several folders may have the same names.
-    const name = names.has(file.name) ? `${number}_${file.name}` : file.name;
-    names.add(file.name);
-    await asked(`files/${encodeURIComponent(name)}`, { method: "PUT", body: file });
+    await asked(`files/${upload}/${encodeURIComponent(file.name)}`, { method: "PUT", body: file });
     tell(number + 1);
   }
+  return upload;
 }
 
 /** Address of a slice's picture; `version` makes a new one of the same slice. */

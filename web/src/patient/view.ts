@@ -10,7 +10,8 @@ export interface ShownPoint {
 /** What the planes share. */
 export interface Cross {
   readonly box: Box;
-  readonly spacing_mm: Point;
+  /** A voxel along each patient axis. */
+  readonly steps_mm: Point;
   readonly at_mm: Point;
 }
 
@@ -29,6 +30,8 @@ const STEPS: Readonly<Record<string, readonly [number, number, number]>> = {
   PageUp: [0, 0, 1],
   PageDown: [0, 0, -1],
 };
+/** Turn of the wheel for a slice [pixels]: less than a notch, more than a trackpad's events. */
+const WHEEL_STEP = 30;
 /** Voxels of an arrow with the shift key. */
 const FAST = 10;
 /** Points further from the plane than this are not shown in it [mm]. */
@@ -41,6 +44,8 @@ export class PlaneView {
   /** What is to be shown once the picture under way is there. */
   private next: string | null = null;
   private isLoading = false;
+  /** How far the wheel was turned since the last slice. */
+  private turned = 0;
 
   constructor(
     private readonly plane: PlaneName,
@@ -55,7 +60,11 @@ export class PlaneView {
       if (this.next !== null) this.load(this.next);
     };
     this.picture.addEventListener("load", done);
-    this.picture.addEventListener("error", done);
+    this.picture.addEventListener("error", () => {
+      // Not the slice before under this one's cross.
+      this.picture.removeAttribute("src");
+      done();
+    });
     node.addEventListener("pointerdown", (event) => this.press(event));
     node.addEventListener("wheel", (event) => this.turn(event), { passive: false });
     node.addEventListener("keydown", (event) => this.key(event));
@@ -103,7 +112,12 @@ export class PlaneView {
   private turn(event: WheelEvent): void {
     if (this.cross === null) return;
     event.preventDefault();
-    this.step([0, 0, event.deltaY > 0 ? -1 : 1], event.shiftKey);
+    // With the shift key browsers turn the wheel sideways; trackpads send many small turns.
+    this.turned += event.deltaY === 0 && event.shiftKey ? event.deltaX : event.deltaY;
+    if (Math.abs(this.turned) < WHEEL_STEP) return;
+    const by = this.turned > 0 ? -1 : 1;
+    this.turned = 0;
+    this.step([0, 0, by], event.shiftKey);
   }
 
   private key(event: KeyboardEvent): void {
@@ -121,9 +135,6 @@ export class PlaneView {
     const cross = this.cross;
     if (cross === null) return;
     const times = isFast ? FAST : 1;
-    const spacing_mm = Math.min(...cross.spacing_mm);
-    const normal = normalAxis(this.plane);
-    const step_mm = by[2] !== 0 ? cross.spacing_mm[normal]! : spacing_mm;
-    this.handlers.go(moved(this.plane, cross.box, cross.at_mm, step_mm, by.map((x) => times * x) as [number, number, number]));
+    this.handlers.go(moved(this.plane, cross.box, cross.at_mm, cross.steps_mm, by.map((x) => times * x) as [number, number, number]));
   }
 }

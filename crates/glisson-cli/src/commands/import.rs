@@ -44,9 +44,6 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// Numbers of different values up to which whole numbers look like labels where the file does not say.
-const MAX_LABELS: usize = 32;
-
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.list {
         return list_series(args);
@@ -100,14 +97,10 @@ impl Contents {
     /// Labels where the file names some or says that it is a segmentation, or where all numbers are whole and few; then
     /// also a note that it is a guess.
     fn of(image: &StoredImage, asked: Option<bool>) -> anyhow::Result<(Self, Option<String>)> {
-        let says_so = !image.names.is_empty() || image.modality.as_deref() == Some("SEG");
-        if asked.unwrap_or(says_so) {
+        if asked.unwrap_or_else(|| image.is_of_labels()) {
             return Ok((Self::Labels(image.label_map()?), None));
         }
-        if asked.is_none()
-            && image.modality.is_none()
-            && let Some(map) = image.label_map().ok().filter(|map| map.present().len() <= MAX_LABELS)
-        {
+        if let Some(map) = image.likely_labels().filter(|_| asked.is_none()) {
             let note =
                 "taken for labels, because its numbers are whole and few; if they are values: --labels false";
             return Ok((Self::Labels(map), Some(note.into())));

@@ -15,9 +15,9 @@ use std::path::{Path, PathBuf};
 pub(crate) struct Args {
     /// Image to begin with, a file or a DICOM folder; else the page asks for one
     image: Option<PathBuf>,
-    /// Folder of the mesh and the scene
-    #[arg(long, short, value_name = "FOLDER", default_value = "out/patient")]
-    out: PathBuf,
+    /// Folder for the mesh and the scene; one that holds a scene is refused [default: out/patient, or out/patient-2, ...]
+    #[arg(long, short, value_name = "FOLDER")]
+    out: Option<PathBuf>,
     /// Threads of models that can use several; the results do not depend on it
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
     threads: u8,
@@ -32,6 +32,17 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let listener = args.address.bind()?;
     let n_threads = usize::from(args.threads);
     let open = move |scene: &Path| Simulation::open(OpenScene { n_threads, ..OpenScene::read(scene)? }, None);
-    let page = PatientPage { folder: args.out.clone(), image: args.image.clone(), open: Box::new(open) };
+    let page = PatientPage {
+        folder: args.out.clone().unwrap_or_else(free_folder),
+        image: args.image.clone(),
+        open: Box::new(open),
+    };
     args.address.serve_patient(page, listener)
+}
+
+/// The first of out/patient, out/patient-2, ... that is not there.
+fn free_folder() -> PathBuf {
+    let numbered = (2..).map(|number| PathBuf::from(format!("out/patient-{number}")));
+    let mut folders = std::iter::once(PathBuf::from("out/patient")).chain(numbered);
+    folders.find(|folder| !folder.exists()).expect("numbers do not end")
 }

@@ -189,7 +189,14 @@ fn body_of_scene(args: &Args) -> anyhow::Result<OrganBody> {
         );
     }
     let source = OpenScene::read(&args.input)?;
-    Ok(read_organ(&source.scene, &source.folder)?)
+    let body = read_organ(&source.scene, &source.folder)?;
+    if body.tissue_parts.is_some() {
+        bail!(
+            "{}: [[organ.part]]: an organ with parts of other tissue cannot be pre-computed",
+            args.input.display()
+        );
+    }
+    Ok(body)
 }
 
 /// What the bar shows while nodes are solved for.

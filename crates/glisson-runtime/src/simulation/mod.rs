@@ -18,7 +18,7 @@ use glisson::model::StateHash;
 use glisson::model::kind::ModelKind;
 use glisson::model::{DeformableModel, LevelOfDetail};
 use glisson::record::session::SessionEvent;
-use glisson::scene::{BodySet, OrganBody, Scene, build_world, mesh_hash};
+use glisson::scene::{BodySet, OrganBody, Scene, build_world, joint_mesh_hash};
 use glisson::tool::MAX_TOOLS;
 use glisson::world::{StageWatch, StepInput, StepReport, World};
 use std::path::{Path, PathBuf};
@@ -88,7 +88,7 @@ impl Simulation {
         let (world, bodies) =
             build_world(&source.scene, &source.folder, workers).with_context(|| source.origin.clone())?;
         let recorder = record
-            .map(|path| Recorder::create(path, &source.scene.text, mesh_hash(&bodies.joint.mesh)))
+            .map(|path| Recorder::create(path, &source.scene.text, joint_mesh_hash(&bodies)))
             .transpose()?;
         Ok(Self {
             world,
@@ -125,6 +125,11 @@ impl Simulation {
     /// The mesh at the start: the organ's, or that of all bodies.
     pub fn mesh(&self) -> &TetMesh {
         &self.bodies.joint.mesh
+    }
+
+    /// What a session names the mesh by.
+    pub fn mesh_hash(&self) -> String {
+        joint_mesh_hash(&self.bodies)
     }
 
     /// What models of the organ are made from; of several bodies that of the first organ, with the mesh of all.

@@ -7,9 +7,10 @@ use axum::extract::{DefaultBodyLimit, Path as UrlPath, State};
 use axum::http::{StatusCode, header};
 use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
-use axum::routing::{delete, get, post, put};
+use axum::routing::{get, post, put};
 use glisson::material::tissues::TISSUES;
 use glisson::math::DVec3;
+use glisson::mesh::files::write_mesh;
 use glisson_runtime::Simulation;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -21,7 +22,7 @@ use tokio::sync::Notify;
 use tokio::task::JoinError;
 
 use super::image::{Image, Meshed, Organ, series_of};
-use super::scene::{HELD, MODELS, SceneChoice};
+use super::scene::{HELD, MODELS, SCENE_NAME, SceneChoice};
 use super::upload::Upload;
 use crate::picture::SlicePlane;
 use crate::server::access::{self, Access};
@@ -55,8 +56,11 @@ pub struct PatientPage {
 #[derive(Default)]
 struct Steps {
     image: Option<Arc<Image>>,
-    /// Series to choose from, where there are several.
+    /// Grows with each image.
+    n_images: u64,
+    /// Series to choose from, where there are several, and where they are.
     series: Vec<String>,
+    source: Option<Source>,
     organ: Option<Arc<Organ>>,
     mesh: Option<Arc<Meshed>>,
     simulation: Option<Simulation>,
@@ -65,6 +69,14 @@ struct Steps {
     error: Option<String>,
     /// Grows whenever pictures change.
     version: u64,
+}
+
+/// Where an image is read from.
+#[derive(Clone)]
+struct Source {
+    path: PathBuf,
+    /// The number of the image that came by the page.
+    upload: Option<u64>,
 }
 
 struct Shared {
@@ -106,6 +118,7 @@ impl Shared {
             steps.job.map(|(what, since)| json!({"what": what, "seconds": since.elapsed().as_secs_f64()}));
         json!({
             "version": steps.version,
+            "image_number": steps.n_images,
             "job": job,
             "error": steps.error,
             "series": steps.series,
@@ -137,6 +150,9 @@ fn begin(
         if let Some((running, _)) = steps.job {
             return (StatusCode::CONFLICT, format!("still {running}\n")).into_response();
         }
+        if steps.simulation.is_some() {
+            return (StatusCode::CONFLICT, "the simulation starts\n").into_response();
+        }
         steps.job = Some((what, Instant::now()));
         steps.error = None;
     }
@@ -152,30 +168,42 @@ fn begin(
     StatusCode::ACCEPTED.into_response()
 }
 
-/// Reads what came, or the image that the program was started with.
-fn open(shared: &Arc<Shared>, series: Option<usize>) -> Response {
+/// Reads what came as image number `upload`, a series of what was read before, or the image that the program was started with.
+fn open(shared: &Arc<Shared>, choice: OpenChoice) -> Response {
+    let OpenChoice { upload, series } = choice;
+    let before = shared.steps().source.clone();
     begin(shared, "reading the image", move |shared| {
-        let path = match (shared.upload.image(), &shared.image) {
-            (Ok(path), _) => path,
-            (Err(_), Some(path)) => path.clone(),
-            (Err(error), None) => return Err(error),
+        let source = match (upload, before) {
+            (Some(number), _) => Source { path: shared.upload.image(number)?, upload },
+            (None, Some(before)) if series.is_some() => before,
+            (None, _) => {
+                Source { path: shared.image.clone().context("there is no image yet")?, upload: None }
+            }
         };
-        let read = Image::read(&path, series);
-        let several = if read.is_err() && series.is_none() { series_of(&path) } else { Vec::new() };
+        let read = Image::read(&source.path, series);
+        let series = series_of(&source.path);
+        let forget = || source.upload.iter().for_each(|number| shared.upload.forget(*number));
         let image = match read {
             Ok(image) => Some(Arc::new(image)),
             // The page asks which.
-            Err(_) if !several.is_empty() => None,
+            Err(_) if !series.is_empty() && upload.is_some() => None,
             Err(error) => {
-                shared.upload.clear()?;
-                return Err(error);
+                if series.is_empty() {
+                    forget();
+                }
+                // How the user's files are called is nobody else's business.
+                let words = format!("{error:#}").replace(&source.path.display().to_string(), "the image");
+                anyhow::bail!(if source.upload.is_some() { words } else { format!("{error:#}") });
             }
         };
-        if image.is_some() {
-            shared.upload.clear()?;
+        // Of several series another one may be asked for.
+        if series.is_empty() {
+            forget();
         }
         Ok(Box::new(move |steps: &mut Steps| {
-            (steps.image, steps.series, steps.organ, steps.mesh) = (image, several, None, None);
+            steps.n_images += u64::from(image.is_some());
+            (steps.image, steps.series, steps.source) = (image, series, Some(source));
+            (steps.organ, steps.mesh) = (None, None);
         }))
     })
 }
@@ -183,6 +211,9 @@ fn open(shared: &Arc<Shared>, series: Option<usize>) -> Response {
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct OpenChoice {
+    /// The number that its files came with.
+    upload: Option<u64>,
+    /// From 1.
     series: Option<usize>,
 }
 
@@ -217,14 +248,13 @@ fn fill(shared: &Arc<Shared>, choice: &MeshChoice) -> Response {
     let organ = shared.steps().organ.clone();
     let [least, _, most] = TETRAHEDRA;
     let n_tets = choice.tetrahedra;
-    begin(shared, "filling the organ with tetrahedra", move |shared| {
+    begin(shared, "filling the organ with tetrahedra", move |_| {
         let organ = organ.context("there is no organ yet")?;
         anyhow::ensure!(
             (least..=most).contains(&n_tets),
             "found {n_tets} tetrahedra, allowed: {least} to {most}"
         );
-        std::fs::create_dir_all(&shared.folder).with_context(|| shared.folder.display().to_string())?;
-        let mesh = organ.mesh(n_tets, &shared.folder.join(MESH_NAME))?;
+        let mesh = organ.mesh(n_tets)?;
         Ok(Box::new(move |steps: &mut Steps| steps.mesh = Some(Arc::new(mesh))))
     })
 }
@@ -233,6 +263,8 @@ fn start(shared: &Arc<Shared>, choice: SceneChoice) -> Response {
     let mesh = shared.steps().mesh.clone();
     begin(shared, "starting the simulation", move |shared| {
         let mesh = mesh.context("there are no tetrahedra yet")?;
+        std::fs::create_dir_all(&shared.folder).with_context(|| shared.folder.display().to_string())?;
+        write_mesh(&shared.folder.join(MESH_NAME), &mesh.mesh)?;
         let scene = choice.write(&mesh.mesh, MESH_NAME, &shared.folder)?;
         let simulation = (shared.open)(&scene)?;
         Ok(Box::new(move |steps: &mut Steps| steps.simulation = Some(simulation)))
@@ -288,20 +320,21 @@ async fn picture(State(shared): State<Arc<Shared>>) -> Response {
     png(mesh.map(|mesh| mesh.picture.clone()).context("there are no tetrahedra yet"))
 }
 
-async fn keep(State(shared): State<Arc<Shared>>, UrlPath(name): UrlPath<String>, bytes: Bytes) -> Response {
-    let kept = tokio::task::spawn_blocking(move || shared.upload.keep(&name, &bytes));
+async fn keep(
+    State(shared): State<Arc<Shared>>,
+    UrlPath((image, name)): UrlPath<(u64, String)>,
+    bytes: Bytes,
+) -> Response {
+    let kept = tokio::task::spawn_blocking(move || shared.upload.keep(image, &name, &bytes));
     match kept.await.unwrap_or_else(|error| Err(error.into())) {
         Ok(()) => StatusCode::NO_CONTENT.into_response(),
         Err(error) => (StatusCode::INSUFFICIENT_STORAGE, format!("{error:#}\n")).into_response(),
     }
 }
 
-async fn discard(State(shared): State<Arc<Shared>>) -> Response {
-    let cleared = tokio::task::spawn_blocking(move || shared.upload.clear());
-    match cleared.await.unwrap_or_else(|error| Err(error.into())) {
-        Ok(()) => StatusCode::NO_CONTENT.into_response(),
-        Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{error:#}\n")).into_response(),
-    }
+/// The number that the files of a new image are to come with.
+async fn begin_upload(State(shared): State<Arc<Shared>>) -> Response {
+    axum::Json(json!({"upload": shared.upload.begin()})).into_response()
 }
 
 type Asked<T> = (State<Arc<Shared>>, axum::Json<T>);
@@ -309,13 +342,13 @@ type Asked<T> = (State<Arc<Shared>>, axum::Json<T>);
 fn router(shared: Arc<Shared>, access: Access) -> Router {
     Router::new()
         .route("/api/patient/state", get(state))
-        .route("/api/patient/files", delete(discard))
-        .route("/api/patient/files/{name}", put(keep).layer(DefaultBodyLimit::max(MOST_FILE)))
+        .route("/api/patient/files", post(begin_upload))
+        .route("/api/patient/files/{image}/{name}", put(keep).layer(DefaultBodyLimit::max(MOST_FILE)))
         .route("/api/patient/slice/{plane}/{x}/{y}/{z}/{centre}/{width}", get(slice))
         .route("/api/patient/picture.png", get(picture))
         .route(
             "/api/patient/open",
-            post(|(State(s), axum::Json(c)): Asked<OpenChoice>| async move { open(&s, c.series) }),
+            post(|(State(s), axum::Json(c)): Asked<OpenChoice>| async move { open(&s, c) }),
         )
         .route(
             "/api/patient/organ",
@@ -335,10 +368,18 @@ fn router(shared: Arc<Shared>, access: Access) -> Router {
         .with_state(shared)
 }
 
+/// Refuses a folder that holds what the page would write: it is of another patient, or somebody's own.
+fn refuse_other_files(folder: &Path) -> anyhow::Result<()> {
+    match [MESH_NAME, SCENE_NAME].into_iter().map(|name| folder.join(name)).find(|path| path.exists()) {
+        Some(path) => anyhow::bail!("{} is there already; take another folder with --out", path.display()),
+        None => Ok(()),
+    }
+}
+
 /// Serves the page until its simulation is ready, which is the answer, or until `stop` comes: then there is none.
 ///
 /// # Errors
-/// A listener that cannot be used; files of an earlier page that cannot be deleted.
+/// A listener that cannot be used; a folder that holds a mesh or a scene.
 pub fn serve(
     listener: TcpListener,
     access: Access,
@@ -346,7 +387,8 @@ pub fn serve(
     stop: impl Future<Output = ()>,
 ) -> anyhow::Result<Option<Simulation>> {
     let PatientPage { folder, image, open: open_scene } = page;
-    let upload = Upload::new(folder.join("incoming.partial"))?;
+    refuse_other_files(&folder)?;
+    let upload = Upload::new(folder.join(format!("incoming-{}.partial", std::process::id())));
     let has_image = image.is_some();
     let shared = Arc::new(Shared {
         steps: Mutex::default(),
@@ -358,19 +400,24 @@ pub fn serve(
     });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let for_pages = Arc::clone(&shared);
-    runtime.block_on(async move {
+    let stopped = runtime.block_on(async move {
         if has_image {
-            open(&for_pages, None);
+            open(&for_pages, OpenChoice::default());
         }
         let listener = tokio::net::TcpListener::from_std(listener)?;
         let ready = Arc::clone(&for_pages);
         let server = axum::serve(Places::new(listener), router(for_pages, access))
             .with_graceful_shutdown(async move { ready.started.notified().await });
         tokio::select! {
-            result = server.into_future() => result.context("the server stopped"),
-            () = stop => Ok(()),
+            result = server.into_future() => result.context("the server stopped").map(|()| false),
+            () = stop => Ok(true),
         }
-    })?;
+    });
+    // A step that runs ends with the program.
+    runtime.shutdown_background();
+    // The step that runs may hold on to it.
+    shared.upload.forget_all();
+    let was_stopped = stopped?;
     let simulation = shared.steps().simulation.take();
-    Ok(simulation)
+    Ok(simulation.filter(|_| !was_stopped))
 }

@@ -4,10 +4,9 @@ use anyhow::{Context, ensure};
 use glisson::image::files::{SeriesChoice, StoredImage, read_image, read_series, series_in};
 use glisson::image::labels::{Parts, mask_volume_m3, sides_at_border};
 use glisson::image::segment::{SeededParams, Seeds, segment_with_seeds};
-use glisson::image::{LabelMap, Volume};
+use glisson::image::{LabelMap, Volume, VoxelGrid};
 use glisson::math::DVec3;
 use glisson::mesh::TetMesh;
-use glisson::mesh::files::write_mesh;
 use glisson::mesh::generate::{MeshParams, MeshReport, WantedSize, generate};
 use glisson::mesh::topology::{Topology, surface_of};
 use glisson::surface::extract::{SurfaceParams, surface_of_mask};
@@ -18,14 +17,15 @@ use crate::picture::{
     Camera, Look, Picture, PictureScene, ShadedSurface, SlicePlane, SliceSpec, View, slice_picture,
 };
 
-/// More different numbers than labels have, where a file does not say what its numbers are.
-const MOST_LABELS: usize = 32;
 /// Window of a CT's soft tissue [HU]: centre and width.
 const SOFT_TISSUE_HU: [f64; 2] = [60.0, 400.0];
 /// Values below this are of a CT: air.
 const AIR_HU: f32 = -300.0;
-/// Height of a slice's picture [pixels].
+/// Voxels in each direction at least.
+const LEAST_VOXELS: usize = 4;
+/// Height of a slice's picture, and its width at most [pixels].
 const SLICE_HEIGHT: usize = 420;
+const SLICE_WIDTH: f64 = 2000.0;
 /// Size of the organ's picture [pixels].
 const ORGAN_SIZE: [usize; 2] = [640, 420];
 
@@ -66,14 +66,20 @@ impl Image {
             Some(number) => read_series(path, &SeriesChoice::Number(number)),
             None => read_image(path),
         }?;
-        Ok(Self::of(&stored))
+        Self::of(&stored)
     }
 
-    fn of(stored: &StoredImage) -> Self {
+    fn of(stored: &StoredImage) -> anyhow::Result<Self> {
+        let dims = stored.grid.dims;
+        ensure!(
+            dims.iter().all(|n| *n >= LEAST_VOXELS),
+            "found {} x {} x {} voxels, at least {LEAST_VOXELS} are needed in each direction to find an organ",
+            dims[0],
+            dims[1],
+            dims[2]
+        );
         let volume = stored.volume();
-        let says_so = !stored.names.is_empty() || stored.modality.as_deref() == Some("SEG");
-        let labels = (says_so || stored.modality.is_none()).then(|| stored.label_map().ok()).flatten();
-        let labels = labels.filter(|map| says_so || map.present().len() <= MOST_LABELS);
+        let labels = if stored.is_of_labels() { Some(stored.label_map()?) } else { stored.likely_labels() };
         let bounds = volume.grid.bounds_m();
         let mm = |p: DVec3| (p * 1e3).to_array();
         let (least, most) =
@@ -96,6 +102,7 @@ impl Image {
             "modality": stored.modality,
             "voxels": volume.grid.dims,
             "spacing_mm": mm(volume.grid.spacing_m),
+            "steps_mm": mm(steps_m(&volume.grid)),
             "from_mm": mm(bounds.min_m),
             "to_mm": mm(bounds.max_m),
             "window": window,
@@ -103,7 +110,7 @@ impl Image {
             "labels": organs,
             "notes": stored.notes,
         });
-        Self { volume, labels, summary }
+        Ok(Self { volume, labels, summary })
     }
 
     /// A slice as PNG, with the organ, or the image's own labels, over it.
@@ -114,12 +121,18 @@ impl Image {
         through_m: DVec3,
         window_centre_width: [f64; 2],
     ) -> anyhow::Result<Vec<u8>> {
+        let size_m = self.volume.grid.bounds_m().size_m();
+        let aspect = match plane {
+            SlicePlane::Axial => size_m.x / size_m.y,
+            SlicePlane::Coronal => size_m.x / size_m.z,
+            SlicePlane::Sagittal => size_m.y / size_m.z,
+        };
         let spec = SliceSpec {
             plane,
             through_m,
             window_centre_width,
             shown_labels: Vec::new(),
-            height: SLICE_HEIGHT,
+            height: SLICE_HEIGHT.min((SLICE_WIDTH / aspect) as usize).max(1),
             caption: String::new(),
         };
         slice_picture(&self.volume, organ.map(|organ| &organ.map).or(self.labels.as_ref()), &spec)?.png()
@@ -156,8 +169,8 @@ impl Organ {
         }
     }
 
-    /// Fills the organ with about so many tetrahedra and writes them to `file`.
-    pub(super) fn mesh(&self, n_tets: usize, file: &Path) -> anyhow::Result<Meshed> {
+    /// Fills the organ with about so many tetrahedra.
+    pub(super) fn mesh(&self, n_tets: usize) -> anyhow::Result<Meshed> {
         let grid = &self.map.grid;
         let mask: Vec<bool> = self.map.labels.iter().map(|&label| label != 0).collect();
         let is_cut_off = !sides_at_border(grid, &mask).is_empty();
@@ -166,11 +179,20 @@ impl Organ {
         let volume_m3 = mask_volume_m3(grid, &mask);
         let params = MeshParams { size: WantedSize::Tetrahedra(n_tets), volume_m3: Some(volume_m3) };
         let (mesh, report) = generate(&surface, &params).context("filling the organ with tetrahedra")?;
-        write_mesh(file, &mesh)?;
         let picture = picture_of(&mesh)?;
         let summary = summary_of(&mesh, &report, volume_m3);
         Ok(Meshed { mesh, picture, summary })
     }
+}
+
+/// Distance of the voxels' layers along each patient axis [m]: that of the voxel axis that is nearest to it.
+fn steps_m(grid: &VoxelGrid) -> DVec3 {
+    let of_axis = |patient: usize| {
+        let along = |voxel: &usize| grid.axes.col(*voxel)[patient].abs();
+        let nearest = (0..3).max_by(|a, b| along(a).total_cmp(&along(b))).unwrap_or(patient);
+        grid.spacing_m[nearest]
+    };
+    DVec3::from([0, 1, 2].map(of_axis))
 }
 
 fn picture_of(mesh: &TetMesh) -> anyhow::Result<Vec<u8>> {

@@ -55,6 +55,8 @@ pub(super) const HELD: [Held; 7] = [
     Held { name: "on the patient's left", direction: [1.0, 0.0, 0.0] },
     Held { name: "on the patient's right", direction: [-1.0, 0.0, 0.0] },
 ];
+/// The scene that the page writes.
+pub(super) const SCENE_NAME: &str = "scene.toml";
 /// Share of the nodes that is held: a choice, that of the demo.
 const HELD_FRACTION: f64 = 0.1;
 /// Radius of the probe's tip, and how far in front of the organ it waits [m]: choices.
@@ -93,7 +95,7 @@ impl SceneChoice {
         let tissue = Tissue::by_name(self.tissue.as_deref().unwrap_or("liver"))?;
         ensure!(!mesh.positions_m.is_empty(), "the mesh has no node");
         let text = scene_text(mesh, mesh_name, (model, held, tissue.name));
-        let path = folder.join("scene.toml");
+        let path = folder.join(SCENE_NAME);
         write_atomically(&path, |file| file.write_all(text.as_bytes()))
             .with_context(|| path.display().to_string())?;
         Ok(path)

@@ -52,9 +52,21 @@ fn done(address: SocketAddr, step: &str, choice: &Value) -> Value {
     }
 }
 
-fn drop_file(address: SocketAddr, name: &str, bytes: &[u8]) {
-    let path = format!("/api/patient/files/{name}");
+/// Sends a file as a new image; answers its number.
+fn send(address: SocketAddr, name: &str, bytes: &[u8]) -> u64 {
+    let (status, body) = ask(address, "POST", "/api/patient/files", "", b"");
+    assert_eq!(status, 200);
+    let upload = serde_json::from_slice::<Value>(&body).unwrap()["upload"].as_u64().unwrap();
+    let path = format!("/api/patient/files/{upload}/{name}");
     assert_eq!(ask(address, "PUT", &path, "application/octet-stream", bytes).0, 204);
+    upload
+}
+
+/// Folders of files that came and were not deleted.
+fn n_incoming(out: &Path) -> usize {
+    let entries = std::fs::read_dir(out).into_iter().flatten().flatten();
+    let incoming = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with("incoming"));
+    incoming.map(|entry| std::fs::read_dir(entry.path()).unwrap().count()).sum()
 }
 
 /// A ball of label 5 in the middle.
@@ -91,10 +103,13 @@ fn files_become_a_simulation_step_by_step() {
     let server = std::thread::spawn(move || serve(listener, access, page, std::future::pending()));
 
     // Nothing came, then something that is no image: each says so, and nothing of it stays.
-    assert!(done(address, "open", &json!({}))["error"].as_str().unwrap().contains("no file came"));
-    drop_file(address, "ball.nii.gz", b"no image");
-    assert!(done(address, "open", &json!({}))["error"].as_str().unwrap().contains("ball.nii.gz"));
-    assert!(!out.join("incoming.partial").exists());
+    let words = |state: &Value| state["error"].as_str().unwrap_or_default().to_owned();
+    assert!(words(&done(address, "open", &json!({}))).contains("no image"));
+    assert!(words(&done(address, "open", &json!({"upload": 77}))).contains("no file came"));
+    let upload = send(address, "Jane_Doe.nii.gz", b"no image");
+    let refused = words(&done(address, "open", &json!({"upload": upload})));
+    assert!(refused.contains("the image") && !refused.contains("Doe"), "{refused}");
+    assert_eq!(n_incoming(&out), 0);
     for (step, choice, words) in [
         ("organ", json!({}), "no image"),
         ("mesh", json!({"tetrahedra": 1000}), "no organ"),
@@ -104,11 +119,13 @@ fn files_become_a_simulation_step_by_step() {
     }
     assert_eq!(post(address, "organ", &json!({"inside": []})), 422);
 
-    drop_file(address, "ball.nii.gz", &bytes);
-    let opened = done(address, "open", &json!({}));
+    let late = send(address, "late.nii.gz", b"of an earlier image");
+    let upload = send(address, "ball.nii.gz", &bytes);
+    let path = format!("/api/patient/files/{late}/more");
+    assert_eq!(ask(address, "PUT", &path, "application/octet-stream", b"x").0, 507);
+    let opened = done(address, "open", &json!({"upload": upload}));
     assert_eq!(opened["error"], Value::Null);
     assert_eq!(opened["image"]["labels"], json!([{"label": 5, "name": "liver"}]));
-    assert!(!out.join("incoming.partial").exists());
     let (status, png) = ask(address, "GET", "/api/patient/slice/axial/40/40/40/2/5", "", b"");
     assert!(status == 200 && png.starts_with(b"\x89PNG"), "{status}");
     assert_eq!(ask(address, "GET", "/api/patient/slice/oblique/40/40/40/2/5", "", b"").0, 400);
@@ -129,5 +146,14 @@ fn files_become_a_simulation_step_by_step() {
     assert_eq!((started["error"].clone(), started["started"].clone()), (Value::Null, Value::Bool(true)));
     let simulation = server.join().unwrap().unwrap().expect("it was started");
     assert_eq!(simulation.world().tools().len(), 1);
-    assert!(out.join("scene.toml").is_file() && out.join("organ.vtu").is_file());
+    let mut left: Vec<_> = std::fs::read_dir(&out).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    left.sort();
+    assert_eq!(left, ["organ.vtu", "scene.toml"]);
+    // Nobody's scene is overwritten.
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let open = |scene: &Path| Simulation::open(OpenScene::read(scene)?, None);
+    let page = PatientPage { folder: out, image: None, open: Box::new(open) };
+    let access = Access::for_address(address.ip(), None).unwrap();
+    let error = serve(listener, access, page, std::future::ready(())).map(|_| ()).unwrap_err().to_string();
+    assert!(error.contains("organ.vtu") && error.contains("--out"), "{error}");
 }

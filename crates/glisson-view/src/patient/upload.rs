@@ -1,83 +1,109 @@
-//! Files that were dropped on the page: kept in a folder until they are read.
+//! Files that come by the page: each image in a folder of its own until it is read.
 
 use anyhow::{Context, ensure};
+use std::fs::OpenOptions;
+use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
-/// Of a file's name so many signs count.
-const MOST_NAME: usize = 120;
 /// Files of one image at most: slices of a long scan in several phases. A choice.
 const MOST_FILES: usize = 10_000;
+/// Bytes of a name at most, with room for a number before it: what file systems take.
+const MOST_NAME: usize = 200;
 
-/// The folder of the files that came.
+/// Where the files come to. One image after the other: what comes late for an earlier one is refused.
 pub(super) struct Upload {
     folder: PathBuf,
+    /// Number of the image that comes now, and how many files of it came.
+    current: Mutex<(u64, usize)>,
 }
 
 impl Upload {
-    /// Files go to `folder`, which is emptied.
-    pub(super) fn new(folder: PathBuf) -> anyhow::Result<Self> {
-        let upload = Self { folder };
-        upload.clear()?;
-        Ok(upload)
+    /// Files go to folders in `folder`, which this program alone has.
+    pub(super) fn new(folder: PathBuf) -> Self {
+        Self { folder, current: Mutex::new((0, 0)) }
     }
 
-    /// Takes a file in.
-    pub(super) fn keep(&self, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
-        let n_files = std::fs::read_dir(&self.folder).map(Iterator::count).unwrap_or(0);
-        ensure!(
-            n_files < MOST_FILES,
-            "more than {MOST_FILES} files were dropped: drop the folder of one image"
-        );
-        std::fs::create_dir_all(&self.folder).with_context(|| self.folder.display().to_string())?;
-        let path = self.folder.join(safe_name(name));
-        std::fs::write(&path, bytes).with_context(|| path.display().to_string())
+    /// A new image begins; answers its number.
+    pub(super) fn begin(&self) -> u64 {
+        let mut current = self.current.lock().unwrap_or_else(PoisonError::into_inner);
+        *current = (current.0 + 1, 0);
+        current.0
     }
 
-    /// What is to be read: the only file, the header among files, or the folder.
-    pub(super) fn image(&self) -> anyhow::Result<PathBuf> {
-        let entries = std::fs::read_dir(&self.folder).into_iter().flatten().flatten();
+    fn folder_of(&self, image: u64) -> PathBuf {
+        self.folder.join(image.to_string())
+    }
+
+    /// Takes a file of an image in.
+    pub(super) fn keep(&self, image: u64, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
+        let number = {
+            let mut current = self.current.lock().unwrap_or_else(PoisonError::into_inner);
+            ensure!(current.0 == image, "another image is being sent since");
+            ensure!(current.1 < MOST_FILES, "more than {MOST_FILES} files came: send those of one image");
+            current.1 += 1;
+            current.1
+        };
+        let folder = self.folder_of(image);
+        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        let name = safe_name(name);
+        let create = |name: &str| OpenOptions::new().write(true).create_new(true).open(folder.join(name));
+        // Slices in several folders may have the same names.
+        let file = create(&name).or_else(|_| create(&format!("{number}_{name}")));
+        file.and_then(|mut file| file.write_all(bytes)).with_context(|| folder.display().to_string())
+    }
+
+    /// What is to be read of an image: its only file, the only header among files, or the folder.
+    pub(super) fn image(&self, image: u64) -> anyhow::Result<PathBuf> {
+        let folder = self.folder_of(image);
+        let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten();
         let mut files: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
         files.sort();
-        let is_header = |path: &&PathBuf| has_extension(path, &["mhd", "nhdr"]);
-        match &files[..] {
-            [] => anyhow::bail!("no file came: drop a folder or a file of an image"),
-            [only] => Ok(only.clone()),
-            _ => Ok(files.iter().find(is_header).unwrap_or(&self.folder).clone()),
+        let headers: Vec<&PathBuf> =
+            files.iter().filter(|path| has_extension(path, &["mhd", "nhdr"])).collect();
+        match (&files[..], &headers[..]) {
+            ([], _) => anyhow::bail!("no file came: drop a folder or a file of an image"),
+            ([only], _) => Ok(only.clone()),
+            (_, [header]) => Ok((*header).clone()),
+            _ => Ok(folder),
         }
     }
 
-    /// Deletes what came.
-    pub(super) fn clear(&self) -> anyhow::Result<()> {
-        match std::fs::remove_dir_all(&self.folder) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                Err(error).with_context(|| self.folder.display().to_string())
-            }
-            _ => Ok(()),
-        }
+    /// Deletes what came of an image.
+    pub(super) fn forget(&self, image: u64) {
+        delete(&self.folder_of(image));
+    }
+
+    /// Deletes all that came.
+    pub(super) fn forget_all(&self) {
+        delete(&self.folder);
     }
 }
 
 impl Drop for Upload {
     fn drop(&mut self) {
-        // Nobody is there to be told.
-        let _ = self.clear();
+        self.forget_all();
     }
+}
+
+/// Deletes a folder; where it is not there, or cannot be deleted, nobody is there to be told.
+fn delete(folder: &Path) {
+    let _ = std::fs::remove_dir_all(folder);
 }
 
 fn has_extension(path: &Path, extensions: &[&str]) -> bool {
     path.extension().is_some_and(|found| extensions.iter().any(|name| found.eq_ignore_ascii_case(name)))
 }
 
-/// A name that stays in the folder: its last part, with signs that every file system takes.
+/// A name that stays in the folder: its last part, as headers name the files of their numbers.
 fn safe_name(name: &str) -> String {
     let last = name.rsplit(['/', '\\']).next().unwrap_or_default();
-    let sign = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '_' };
-    let safe: String = last.chars().map(sign).collect();
-    let safe = &safe[safe.len().saturating_sub(MOST_NAME)..];
-    match safe.trim_start_matches('.') {
-        "" => "file".into(),
-        kept => kept.into(),
+    let kept: String = last.chars().filter(|c| !c.is_control()).collect();
+    let mut kept = kept.trim_start_matches('.');
+    while kept.len() > MOST_NAME {
+        kept = &kept[kept.char_indices().nth(1).map_or(kept.len(), |(at, _)| at)..];
     }
+    if kept.is_empty() { "file".into() } else { kept.into() }
 }
 
 #[cfg(test)]
@@ -88,25 +114,37 @@ mod tests {
     fn files_stay_in_their_folder_and_go_when_the_page_does() {
         let parent = tempfile::tempdir().unwrap();
         let folder = parent.path().join("incoming");
-        let upload = Upload::new(folder.clone()).unwrap();
-        assert!(upload.image().is_err());
+        let upload = Upload::new(folder.clone());
+        let first = upload.begin();
+        assert!(upload.image(first).is_err());
+        let long = format!("{}.dcm", "n".repeat(300));
         for (name, kept) in [
             ("ct.nii.gz", "ct.nii.gz"),
             ("../../etc/passwd", "passwd"),
             ("..", "file"),
-            ("a\\b\\IM 1.dcm", "IM_1.dcm"),
+            ("a\\b\\Bild ä.dcm", "Bild ä.dcm"),
             (".hidden", "hidden"),
+            (&long, &long[104..]),
         ] {
-            upload.keep(name, b"x").unwrap();
-            assert!(folder.join(kept).is_file(), "{name}");
+            upload.keep(first, name, b"x").unwrap();
+            assert!(folder.join("1").join(kept).is_file(), "{name}");
         }
         assert_eq!(std::fs::read_dir(parent.path()).unwrap().count(), 1);
-        assert_eq!(upload.image().unwrap(), folder);
-        upload.keep("scan.MHD", b"x").unwrap();
-        assert_eq!(upload.image().unwrap(), folder.join("scan.MHD"));
-        upload.clear().unwrap();
-        upload.keep("only.nrrd", b"x").unwrap();
-        assert_eq!(upload.image().unwrap(), folder.join("only.nrrd"));
+        assert_eq!(upload.image(first).unwrap(), folder.join("1"));
+        upload.keep(first, "CT liver.MHD", b"x").unwrap();
+        assert_eq!(upload.image(first).unwrap(), folder.join("1/CT liver.MHD"));
+        upload.keep(first, "other.mhd", b"x").unwrap();
+        assert_eq!(upload.image(first).unwrap(), folder.join("1"));
+        // The same name again is another file.
+        upload.keep(first, "passwd", b"y").unwrap();
+        assert_eq!(std::fs::read_dir(folder.join("1")).unwrap().count(), 9);
+
+        let second = upload.begin();
+        assert!(upload.keep(first, "late", b"x").is_err());
+        upload.keep(second, "only.nrrd", b"x").unwrap();
+        assert_eq!(upload.image(second).unwrap(), folder.join("2/only.nrrd"));
+        upload.forget(second);
+        assert!(!folder.join("2").exists() && folder.join("1").exists());
         drop(upload);
         assert!(!folder.exists());
     }

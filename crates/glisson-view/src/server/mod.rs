@@ -257,7 +257,7 @@ pub(crate) fn viewer_file(path: &str) -> Response {
     };
     match ViewerFiles::get(path) {
         Some(file) => ([(header::CONTENT_TYPE, content_type)], file.data.into_owned()).into_response(),
-        None if path.ends_with(".html") => {
+        None if ["index.html", "patient.html"].contains(&path) => {
             ([(header::CONTENT_TYPE, content_type)], NOT_BUILT).into_response()
         }
         None => (StatusCode::NOT_FOUND, format!("no file {path}\n")).into_response(),

@@ -14,7 +14,7 @@ use crate::mesh::faults::{FaultAction, ImportPolicy};
 use crate::mesh::files::{LABEL_FIELD, MeshFileError, read_mesh_with};
 use crate::mesh::generate::MeshingError;
 use crate::model::precomputed::{self};
-use crate::model::{BodyZone, MeasuredSample, ModelError, OrganBody, TissueParts};
+use crate::model::{BodyPart, BodySet, BodyZone, MeasuredSample, ModelError, OrganBody, TissueParts};
 use crate::solve::equilibrating_stress;
 use crate::surface::files::{SurfaceFileError, import_closed_surface};
 use crate::tool::{Tool, ToolShape};
@@ -308,7 +308,31 @@ pub(super) fn organ_without_stress(
     Ok(body)
 }
 
-/// BLAKE3 of a mesh (positions and connectivity), hexadecimal: what a session names its mesh by.
-pub fn mesh_hash(mesh: &TetMesh) -> String {
-    precomputed::mesh_hash(mesh).iter().map(|byte| format!("{byte:02x}")).collect()
+/// BLAKE3 of an organ's mesh (positions and connectivity, and where tetrahedra are of other tissue), hexadecimal: what a session
+/// names its mesh by.
+pub fn mesh_hash(body: &OrganBody) -> String {
+    hash_with_parts(&body.mesh, body.tissue_parts.iter())
+}
+
+/// The same of all bodies.
+pub fn joint_mesh_hash(bodies: &BodySet) -> String {
+    let of_parts = bodies.parts.iter().filter_map(|part| match part {
+        BodyPart::Organ { body, .. } => body.tissue_parts.as_ref(),
+        BodyPart::Rigid { .. } => None,
+    });
+    let alone = bodies.joint.tissue_parts.iter().filter(|_| bodies.parts.is_empty());
+    hash_with_parts(&bodies.joint.mesh, alone.chain(of_parts))
+}
+
+fn hash_with_parts<'a>(mesh: &TetMesh, parts: impl Iterator<Item = &'a TissueParts>) -> String {
+    let mut hash = precomputed::mesh_hash(mesh);
+    for parts in parts {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(&hash);
+        // Part 0 is the organ's own tissue.
+        let numbers = parts.of_tet.iter().map(|part| part.map_or(0, |part| u32::from(part) + 1));
+        hasher.update(&numbers.flat_map(u32::to_le_bytes).collect::<Vec<u8>>());
+        hash = *hasher.finalize().as_bytes();
+    }
+    hash.iter().map(|byte| format!("{byte:02x}")).collect()
 }

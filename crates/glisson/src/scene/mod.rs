@@ -24,7 +24,7 @@ mod suture;
 
 pub use attachment::{AttachmentKind, AttachmentSource};
 pub use bodies::{BodySource, SceneBody};
-pub use build::{BuildError, mesh_hash, read_organ, read_tools};
+pub use build::{BuildError, joint_mesh_hash, mesh_hash, read_organ, read_tools};
 pub use build_world::build_world;
 pub use instrument::{PathPoint, tool_on_path};
 pub use material::{ElasticitySource, MaterialSource, TissuePartSource};

@@ -11,7 +11,7 @@ use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::{EdgeSplit, MeshEdit};
 use glisson::mesh::files::{FieldPlace, FieldValues, LABEL_FIELD, VtuField, write_vtu_with};
 use glisson::mesh::{EdgeId, NodeId, TetId, TetMesh};
-use glisson::scene::{Scene, build_world};
+use glisson::scene::{Scene, build_world, joint_mesh_hash, mesh_hash};
 use glisson::solve::{
     BoundaryConditions, FreeSystem, MeshEdges, StiffnessTensors, TetStiffness, add_gravity_forces,
 };
@@ -154,7 +154,31 @@ fn each_part_has_its_own_stiffness_also_after_edits() {
         settle(&mut world);
         let off = error(&world, true);
         assert!(off < 0.01, "{name}, edited: {off}");
+        // Down to nothing.
+        let topology = world.organ().body().topology();
+        let tets = tets_of(world.organ().mesh()).filter(|tet| topology.is_live_tet(*tet)).collect();
+        if world.edit(&MeshEdit::Remove { tets }).is_ok() {
+            world.step(&StepInput::of(&[world.tools()[0].home]));
+        }
     }
+}
+
+#[test]
+fn sessions_name_a_mesh_with_its_parts() {
+    let folder = tempfile::tempdir().unwrap();
+    write_bar(folder.path(), &bar());
+    let hash = |parts: &str| {
+        let text = scene_text("implicit", "10 ms", "\"stable_neo_hooke\"", parts);
+        let scene = Scene::parse(&text).unwrap();
+        let (_, bodies) = build_world(&scene, folder.path(), Arc::new(Sequential)).unwrap();
+        assert_eq!(joint_mesh_hash(&bodies), mesh_hash(&bodies.joint));
+        joint_mesh_hash(&bodies)
+    };
+    let plain = hash("");
+    assert_ne!(hash(PART), plain);
+    assert_ne!(hash(&PART.replace('7', "3")), hash(PART));
+    // The labels of a mesh that no part names do not count.
+    assert_eq!(hash(""), plain);
 }
 
 #[test]

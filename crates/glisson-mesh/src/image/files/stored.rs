@@ -25,6 +25,9 @@ pub struct StoredImage {
     pub(super) data: StoredData,
 }
 
+/// Different numbers up to which whole numbers look like labels: a choice.
+const MOST_LIKELY_LABELS: usize = 32;
+
 /// Numbers in a file, i fastest.
 #[derive(Clone, Debug)]
 pub(super) struct StoredData {
@@ -95,6 +98,18 @@ impl StoredImage {
         });
         let Ok(()) = result;
         Volume { grid: self.grid.clone(), values }
+    }
+
+    /// Whether the file names labels, or says that it is a segmentation.
+    pub fn is_of_labels(&self) -> bool {
+        !self.names.is_empty() || self.modality.as_deref() == Some("SEG")
+    }
+
+    /// Labels that its numbers probably are, where the file does not say what they are: whole and few, and of no modality.
+    pub fn likely_labels(&self) -> Option<LabelMap> {
+        let says_nothing = !self.is_of_labels() && self.modality.is_none();
+        let labels = if says_nothing { self.label_map().ok() } else { None };
+        labels.filter(|map| map.present().len() <= MOST_LIKELY_LABELS)
     }
 
     /// Its labels, with the names and colours that the file gives them.

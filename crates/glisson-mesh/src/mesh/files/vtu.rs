@@ -58,11 +58,9 @@ fn read_piece(
         error.place = Place::Named(format!("{place}, {}", error.place));
         error
     })?;
-    let Some(labels) = arrays.cell_field(piece, LABEL_FIELD, place)? else { return Ok(()) };
-    if labels.len() != n_cells {
-        let found = format!("{} values in the cell field {LABEL_FIELD}", labels.len());
-        return Err(FormatError::named(place, found, format!("NumberOfCells = {n_cells}")));
-    }
+    // A field that is no label of each cell is not needed to read the mesh.
+    let labels = arrays.cell_field(piece, LABEL_FIELD, place).ok().flatten();
+    let Some(labels) = labels.filter(|labels| labels.len() == n_cells) else { return Ok(()) };
     let is_tetrahedron = |cell: &&i64| vtk_cell_kind(**cell) == Some(CellKind::Tetrahedron);
     let of_tetrahedra = labels.iter().zip(&list.types).filter(|(_, cell)| is_tetrahedron(cell));
     raw.label_of.extend(of_tetrahedra.map(|(label, _)| label));

@@ -20,13 +20,14 @@
 use super::{ExplicitKernelParams, StableStep};
 use crate::material::{LinearElastic, NeoHookeLog, StableNeoHooke, largest_tangent_eigenvalue_pa};
 use crate::model::explicit::{Stability as ElasticStability, StiffTet, keep};
-use crate::model::kernel::{FastKernel, KernelLaw};
+use crate::model::kernel::{FastKernel, KernelLaw, SharedMaterial};
 use crate::model::tet_law::{TetLaw, linear_stiffness};
 use crate::model::{DynamicBody, ModelUndo, UndoReader};
 use crate::solve::{P1Gradients, SolveError, TetStiffness};
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// theta h^2 of the longest step: a little below 4, as far as [`StableStep`] keeps below it.
 const SQUARED_LIMIT: f64 = 3.99;
@@ -108,8 +109,13 @@ struct Tangents {
 impl Tangents {
     fn of(params: &ExplicitKernelParams<'_>) -> Self {
         let stretch = params.largest_stretch;
-        let general =
-            params.laws.iter().map(|law| largest_tangent_eigenvalue_pa(law.as_ref(), stretch)).collect();
+        // Tetrahedra of one tissue share their law.
+        let mut of_shared_pa = BTreeMap::new();
+        let mut of_law_pa = |law: &SharedMaterial| {
+            let searched = || largest_tangent_eigenvalue_pa(law.as_ref(), stretch);
+            *of_shared_pa.entry(Arc::as_ptr(law).cast::<()>()).or_insert_with(searched)
+        };
+        let general = params.laws.iter().map(&mut of_law_pa).collect();
         let mut by_material_pa = BTreeMap::new();
         for material in params.materials {
             let searched = || match params.law {

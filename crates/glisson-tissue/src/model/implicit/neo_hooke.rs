@@ -211,9 +211,9 @@ impl NeoHooke {
         f.determinant() > LEAST_VOLUME_RATIO
     }
 
-    /// lambda and mu [Pa] of what is averaged over nodes.
+    /// lambda and mu [Pa] of what is averaged over nodes; where each tetrahedron has a law of its own nothing is.
     fn averaged_pa(&self) -> [f64; 2] {
-        [self.laws[0].lambda_pa(), self.laws[0].mu_pa()]
+        self.laws.first().map_or([0.0; 2], |law| [law.lambda_pa(), law.mu_pa()])
     }
 
     /// Second Piola-Kirchhoff stress [Pa] of live tetrahedron number `t`, which is in `group`, S = mu (I - C^-1) + p J C^-1, at the

@@ -169,8 +169,8 @@ fn begin(
 }
 
 /// Reads what came as image number `upload`, a series of what was read before, or the image that the program was started with.
-fn open(shared: &Arc<Shared>, choice: OpenChoice) -> Response {
-    let OpenChoice { upload, series } = choice;
+fn open(shared: &Arc<Shared>, choice: &OpenChoice) -> Response {
+    let OpenChoice { upload, series } = *choice;
     let before = shared.steps().source.clone();
     begin(shared, "reading the image", move |shared| {
         let source = match (upload, before) {
@@ -348,7 +348,7 @@ fn router(shared: Arc<Shared>, access: Access) -> Router {
         .route("/api/patient/picture.png", get(picture))
         .route(
             "/api/patient/open",
-            post(|(State(s), axum::Json(c)): Asked<OpenChoice>| async move { open(&s, c) }),
+            post(|(State(s), axum::Json(c)): Asked<OpenChoice>| async move { open(&s, &c) }),
         )
         .route(
             "/api/patient/organ",
@@ -402,7 +402,7 @@ pub fn serve(
     let for_pages = Arc::clone(&shared);
     let stopped = runtime.block_on(async move {
         if has_image {
-            open(&for_pages, OpenChoice::default());
+            open(&for_pages, &OpenChoice::default());
         }
         let listener = tokio::net::TcpListener::from_std(listener)?;
         let ready = Arc::clone(&for_pages);

@@ -35,8 +35,8 @@ const ROOT = "1.2.826.0.1.3680043.10.1338";
 const CT_IMAGE = "1.2.840.10008.5.1.4.1.1.2";
 const EXPLICIT_LITTLE_ENDIAN = "1.2.840.10008.1.2.1";
 
-/** The slices of a NIfTI-1 volume of 16-bit or 32-bit values without rotation. */
-export function dicomSeries(niftiFile: string): NamedFile[] {
+/** The slices of a NIfTI-1 volume of 16-bit or 32-bit values without rotation, all or the first `count`, as series number `series`. */
+export function dicomSeries(niftiFile: string, series = 3, count = Infinity): NamedFile[] {
   const bytes = gunzipSync(readFileSync(niftiFile));
   const dims = [1, 2, 3].map((i) => bytes.readInt16LE(40 + 2 * i)) as [number, number, number];
   const spacing = [1, 2, 3].map((i) => bytes.readFloatLE(76 + 4 * i)) as [number, number, number];
@@ -50,7 +50,7 @@ export function dicomSeries(niftiFile: string): NamedFile[] {
   const originRas = [280, 296, 312].map((row) => bytes.readFloatLE(row + 12)) as [number, number, number];
   const steps = [280, 296, 312].map((row, i) => bytes.readFloatLE(row + 4 * i)) as [number, number, number];
   const files: NamedFile[] = [];
-  for (let k = 0; k < dims[2]; k++) {
+  for (let k = 0; k < Math.min(dims[2], count); k++) {
     const pixels = Buffer.alloc(2 * dims[0] * dims[1]);
     for (let at = 0; at < dims[0] * dims[1]; at++) {
       const hu = slope * value(k * dims[0] * dims[1] + at) + intercept;
@@ -62,7 +62,7 @@ export function dicomSeries(niftiFile: string): NamedFile[] {
     const meta = Buffer.concat([
       element(0x00020001, "OB", Buffer.from([0, 1])),
       text(0x00020002, "UI", CT_IMAGE),
-      text(0x00020003, "UI", `${ROOT}.1.${k + 1}`),
+      text(0x00020003, "UI", `${ROOT}.${series}.1.${k + 1}`),
       text(0x00020010, "UI", EXPLICIT_LITTLE_ENDIAN),
       text(0x00020012, "UI", `${ROOT}.0`),
     ]);
@@ -70,12 +70,13 @@ export function dicomSeries(niftiFile: string): NamedFile[] {
     length.writeUInt32LE(meta.length);
     const data = Buffer.concat([
       text(0x00080016, "UI", CT_IMAGE),
-      text(0x00080018, "UI", `${ROOT}.1.${k + 1}`),
+      text(0x00080018, "UI", `${ROOT}.${series}.1.${k + 1}`),
       text(0x00080060, "CS", "CT"),
       text(0x00100010, "PN", "Secret^Name"),
       text(0x00100020, "LO", "SECRET-ID"),
       text(0x0020000d, "UI", `${ROOT}.2`),
-      text(0x0020000e, "UI", `${ROOT}.3`),
+      text(0x0020000e, "UI", `${ROOT}.2.${series}`),
+      text(0x00200011, "IS", String(series)),
       text(0x00200032, "DS", position.map((x) => x.toFixed(4)).join("\\")),
       text(0x00200037, "DS", directions.join("\\")),
       short(0x00280002, 1),
@@ -92,7 +93,7 @@ export function dicomSeries(niftiFile: string): NamedFile[] {
       element(0x7fe00010, "OW", pixels),
     ]);
     const file = Buffer.concat([Buffer.alloc(128), Buffer.from("DICM"), element(0x00020000, "UL", length), meta, data]);
-    files.push({ name: `IM${(7919 * (k + 1)) % 9973}`, mimeType: "application/dicom", buffer: file });
+    files.push({ name: `IM${series}${(7919 * (k + 1)) % 9973}`, mimeType: "application/dicom", buffer: file });
   }
   return files;
 }

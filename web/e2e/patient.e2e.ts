@@ -52,9 +52,23 @@ describe.skipIf(url === undefined || ct === undefined || out === undefined)(`a n
     await page.waitForSelector("#error:not([hidden])");
     expect(await page.textContent("#error")).toContain("the image");
 
+    // Of several series one is chosen, and another one after it.
+    await page.setInputFiles("#files", [...dicomSeries(ct!, 3, 12), ...dicomSeries(ct!, 4, 20)]);
+    await page.waitForSelector("#series li:nth-child(2) button");
+    for (const [place, slices] of [
+      [2, 20],
+      [1, 12],
+    ] as const) {
+      await page.locator(`#series li:nth-child(${place}) button`).click();
+      await page.waitForFunction((n) => document.getElementById("found")!.textContent!.includes(`× ${n} of`), slices, { timeout: 60_000 });
+    }
+
     await page.setInputFiles("#files", dicomSeries(ct!));
     await page.waitForSelector("#organ:not([hidden])", { timeout: 90_000 });
+    await page.waitForFunction(() => document.getElementById("found")!.textContent!.includes("× 144 of"), undefined, { timeout: 90_000 });
     expect(await page.textContent("#found")).toContain("DICOM, CT");
+    await settled(page);
+    expect(await page.isHidden("#series")).toBe(true);
     await page.waitForTimeout(800);
     await page.screenshot({ path: resultFile("patient_2_image.png") });
 

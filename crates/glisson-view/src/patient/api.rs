@@ -170,35 +170,39 @@ fn begin(
 
 /// Reads what came as image number `upload`, a series of what was read before, or the image that the program was started with.
 fn open(shared: &Arc<Shared>, choice: &OpenChoice) -> Response {
-    let OpenChoice { upload, series } = *choice;
+    let OpenChoice { upload, series: chosen } = *choice;
     let before = shared.steps().source.clone();
     begin(shared, "reading the image", move |shared| {
+        let earlier = before.as_ref().and_then(|source| source.upload);
         let source = match (upload, before) {
             (Some(number), _) => Source { path: shared.upload.image(number)?, upload },
-            (None, Some(before)) if series.is_some() => before,
+            (None, Some(before)) if chosen.is_some() => before,
             (None, _) => {
                 Source { path: shared.image.clone().context("there is no image yet")?, upload: None }
             }
         };
-        let read = Image::read(&source.path, series);
+        let read = Image::read(&source.path, chosen);
         let series = series_of(&source.path);
-        let forget = || source.upload.iter().for_each(|number| shared.upload.forget(*number));
+        let forget = |upload: Option<u64>| upload.iter().for_each(|number| shared.upload.forget(*number));
         let image = match read {
             Ok(image) => Some(Arc::new(image)),
             // The page asks which.
-            Err(_) if !series.is_empty() && upload.is_some() => None,
+            Err(_) if !series.is_empty() && chosen.is_none() => None,
             Err(error) => {
                 if series.is_empty() {
-                    forget();
+                    forget(source.upload);
                 }
                 // How the user's files are called is nobody else's business.
                 let words = format!("{error:#}").replace(&source.path.display().to_string(), "the image");
                 anyhow::bail!(if source.upload.is_some() { words } else { format!("{error:#}") });
             }
         };
+        if earlier != source.upload {
+            forget(earlier);
+        }
         // Of several series another one may be asked for.
         if series.is_empty() {
-            forget();
+            forget(source.upload);
         }
         Ok(Box::new(move |steps: &mut Steps| {
             steps.n_images += u64::from(image.is_some());

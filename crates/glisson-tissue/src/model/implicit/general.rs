@@ -9,7 +9,8 @@ use fearless_simd::{Simd, dispatch, f64x8, prelude::*};
 
 use super::evaluation::{Evaluation, On};
 use super::lanes::{
-    Group, LANES, Lanes, SymmetricLanes, add_turned, added_density, gradient, load, load_matrix, scale,
+    Group, LANES, Lanes, SymmetricLanes, add_turned, added_density, gradient, load, load_matrix, of_tet,
+    scale,
 };
 use super::law::SharedLaw;
 use super::shares::{Allowed, Share, Shares, scatter};
@@ -113,7 +114,7 @@ impl General {
 }
 
 fn law(laws: &[SharedLaw], t: usize) -> &dyn Material {
-    &*laws[if laws.len() == 1 { 0 } else { t }]
+    &**of_tet(laws, t)
 }
 
 /// Place in glam's order by columns of the place `k` by rows.

@@ -3,6 +3,7 @@
  * GLISSON_PATIENT_URL; the CT is in GLISSON_CT (NIfTI), the folder that it writes to in GLISSON_PATIENT_OUT.
  */
 import { readdirSync, readFileSync } from "node:fs";
+import { dirname, join } from "node:path";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import type { Browser, Page } from "playwright-core";
 import { openPage, resultFile, startBrowser, waitForOrgan } from "./browser";
@@ -30,6 +31,88 @@ function withoutName(page: Page): Promise<string[]> {
     const pictures = [...document.querySelectorAll("img:not([alt])")];
     return [...controls.filter((node) => !isNamed(node)), ...pictures].map((node) => node.outerHTML.slice(0, 90));
   });
+}
+
+/** The picture of the tetrahedra, once it is another one than before. */
+async function pictureIsThere(page: Page, before = ""): Promise<string> {
+  await page.waitForFunction((old) => {
+    const picture = document.querySelector<HTMLImageElement>("#picture img");
+    return picture !== null && picture.complete && picture.naturalWidth > 0 && picture.src !== old;
+  }, before);
+  return page.evaluate(() => document.querySelector<HTMLImageElement>("#picture img")!.src);
+}
+
+/** Labels become organs of one mesh, which is cut open and coloured by quality. */
+async function showsSeveralOrgans(page: Page): Promise<void> {
+  await page.setInputFiles("#files", join(dirname(ct!), "labels.nii.gz"));
+  await page.waitForFunction(() => document.getElementById("found")!.textContent!.includes("labels"), undefined, { timeout: 60_000 });
+  await settled(page);
+  for (const [at, label] of ["liver", "liver_tumour", "gall_bladder"].entries()) {
+    await page.selectOption("#label", { label });
+    await page.click("#find");
+    await page.waitForFunction((n) => document.querySelectorAll("#organs li").length === n, at + 1, { timeout: 60_000 });
+    await settled(page);
+  }
+  await page.fill("#tetrahedra", "10000");
+  await page.click("#fill");
+  await page.waitForSelector("#start:not([hidden])", { timeout: 90_000 });
+  await settled(page);
+  const facts = (await page.textContent("#mesh-found"))!;
+  for (const words of ["liver_tumour", "gall_bladder", "bodies1"]) expect(facts).toContain(words);
+  expect(await page.locator("#tissues select").evaluateAll((selects) => selects.map((s) => (s as HTMLSelectElement).value))).toEqual(["liver", "liver", "gall_bladder"]);
+  let picture = await pictureIsThere(page);
+  await page.locator("#share").fill("0.45");
+  picture = await pictureIsThere(page, picture);
+  await page.selectOption("#colours", "quality");
+  picture = await pictureIsThere(page, picture);
+  await page.locator("#picture").focus();
+  await page.keyboard.press("ArrowRight");
+  picture = await pictureIsThere(page, picture);
+  expect(picture).toContain("/35.0/16.0/coronal/0.450/quality");
+  expect(await page.locator("#quality li").count()).toBe(6);
+  await page.screenshot({ path: resultFile("patient_6_organs.png") });
+  await page.selectOption("#colours", "organ");
+  await page.locator("#share").fill("0");
+}
+
+/** A line drawn round the liver by the mouse; a step that is cancelled leaves what was, and contours are found from the line. */
+async function correctsByHand(page: Page, before_ml: number): Promise<void> {
+  await page.selectOption("#method", "contours");
+  await page.keyboard.press("c");
+  const axial = (await page.locator("#axial").boundingBox())!;
+  const [x, y] = [axial.x + 0.25 * axial.width, axial.y + 0.4 * axial.height];
+  await page.mouse.move(x + 24, y);
+  await page.mouse.down();
+  for (let i = 1; i < 40; i++) await page.mouse.move(x + 24 * Math.cos(i / 6.4), y + 18 * Math.sin(i / 6.4));
+  await page.mouse.up();
+  expect(await page.locator("#outlines li").count()).toBe(1);
+  expect(await page.locator("#axial path.by-hand").count()).toBe(1);
+  // Two corners are no outline.
+  for (let i = 0; i < 2; i++) await page.mouse.click(x + 5 * i, y + 5);
+  await page.keyboard.press("f");
+  expect(await page.textContent("#error")).toContain("3 corners");
+  for (let i = 0; i < 2; i++) await page.keyboard.press("Backspace");
+
+  await page.click("#find");
+  await page.waitForSelector("#cancel:not([hidden])");
+  await page.keyboard.press("Escape");
+  await settled(page);
+  expect(parseFloat((await page.textContent("#organ-found"))!)).toBe(before_ml);
+  await page.click("#find");
+  await page.waitForFunction((ml) => parseFloat(document.getElementById("organ-found")!.textContent!) !== ml, before_ml, { timeout: 90_000 });
+  await settled(page);
+  expect(parseFloat((await page.textContent("#organ-found"))!)).toBeGreaterThan(0.8 * before_ml);
+  await page.keyboard.press("i");
+  await page.locator("#axial").focus();
+  for (let i = 0; i < 3; i++) await page.keyboard.press("PageUp");
+  await page.waitForSelector("#axial path.found");
+  await page.waitForTimeout(800);
+  await page.screenshot({ path: resultFile("patient_3b_contours.png") });
+
+  await page.selectOption("#method", "points");
+  await page.click("#find");
+  await page.waitForFunction((ml) => parseFloat(document.getElementById("organ-found")!.textContent!) === ml, before_ml, { timeout: 90_000 });
+  await settled(page);
 }
 
 describe.skipIf(url === undefined || ct === undefined || out === undefined)(`a new patient on ${url}`, () => {
@@ -63,10 +146,11 @@ describe.skipIf(url === undefined || ct === undefined || out === undefined)(`a n
       await page.waitForFunction((n) => document.getElementById("found")!.textContent!.includes(`× ${n} of`), slices, { timeout: 60_000 });
     }
 
+    await showsSeveralOrgans(page);
+
     await page.setInputFiles("#files", dicomSeries(ct!));
     await page.waitForSelector("#organ:not([hidden])", { timeout: 90_000 });
-    await page.waitForFunction(() => document.getElementById("found")!.textContent!.includes("× 144 of"), undefined, { timeout: 90_000 });
-    expect(await page.textContent("#found")).toContain("DICOM, CT");
+    await page.waitForFunction(() => /DICOM, CT.*× 144 of/.test(document.getElementById("found")!.textContent!), undefined, { timeout: 90_000 });
     await settled(page);
     expect(await page.isHidden("#series")).toBe(true);
     await page.waitForTimeout(800);
@@ -96,14 +180,15 @@ describe.skipIf(url === undefined || ct === undefined || out === undefined)(`a n
     expect(volume_ml).toBeLessThan(1600);
     await page.waitForTimeout(800);
     await page.screenshot({ path: resultFile("patient_3_organ.png") });
+    await correctsByHand(page, volume_ml);
 
     await page.fill("#tetrahedra", "3000");
     await page.click("#fill");
     await page.waitForSelector("#start:not([hidden])", { timeout: 90_000 });
     await settled(page);
     expect(await page.textContent("#mesh-found")).toContain("dihedral angles");
-    await page.waitForFunction(() => document.querySelector<HTMLImageElement>("#picture")!.naturalWidth > 0);
-    await page.screenshot({ path: resultFile("patient_4_tetrahedra.png"), fullPage: true });
+    await pictureIsThere(page);
+    await page.screenshot({ path: resultFile("patient_4_tetrahedra.png") });
     expect(await withoutName(page)).toEqual([]);
 
     await page.click("#run");

@@ -10,6 +10,7 @@
 
 pub mod math;
 pub mod fault;
+pub mod progress;
 pub mod text;
 pub mod units;
 pub mod files;

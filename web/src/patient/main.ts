@@ -1,25 +1,22 @@
-/** The page for a new patient: image, organ, tetrahedra, simulation. */
+/** The page for a new patient: image, organs, tetrahedra, simulation. */
 import "../style.css";
 import "./patient.css";
+import { facts, item, named, options, part } from "./dom";
 import { droppedFiles, imageFiles } from "./drop";
-import { fetchState, PICTURE, post, sendFiles, sliceAddress, type ImageSummary, type PatientState, type PlaneName, type Point } from "./state";
-import { clamped, type Box } from "./planes";
-import { PlaneView, type Cross, type ShownPoint } from "./view";
+import { OrganSection } from "./organs";
+import { clamped, normalAxis, type Box } from "./planes";
+import { fetchState, post, sendFiles, sliceAddress, type ImageSummary, type PatientState, type PlaneName, type Point, type Step } from "./state";
+import { TetrahedraSection } from "./tetrahedra";
+import { PlaneView, type Cross, type PlaneHandlers } from "./view";
 
 /** How often the server is asked, while a step runs and else [ms]. */
 const ASK_BUSY_MS = 250;
 const ASK_IDLE_MS = 2000;
 const PLANES: readonly PlaneName[] = ["axial", "coronal", "sagittal"];
 
-function part<T extends HTMLElement>(id: string): T {
-  const node = document.getElementById(id);
-  if (node === null) throw new Error(`patient.html has no element "${id}"`);
-  return node as T;
-}
-
 const status = part("status");
 const errorLine = part("error");
-const points: ShownPoint[] = [];
+const tetrahedra = new TetrahedraSection();
 let state: PatientState | null = null;
 let cross: Cross | null = null;
 let window_: [number, number] = [0, 1];
@@ -29,9 +26,14 @@ let shownImage = 0;
 let serverError: string | null = null;
 let isSending = false;
 
-const views = new Map(
-  PLANES.map((plane) => [plane, new PlaneView(plane, part(plane), { go, setPoint })] as const),
-);
+const organs = new OrganSection({ state: () => state, cross: () => cross, go, step, complain, showPlanes });
+const handlers: PlaneHandlers = {
+  go,
+  set: (at_mm, plane) => organs.set(at_mm, plane),
+  isDrawing: (plane) => organs.isDrawing(plane),
+  finish: () => organs.finish(),
+};
+const views = new Map(PLANES.map((plane) => [plane, new PlaneView(plane, part(plane), handlers)] as const));
 
 function go(to_mm: Point): void {
   if (cross === null) return;
@@ -39,78 +41,22 @@ function go(to_mm: Point): void {
   showPlanes();
 }
 
-function chosenKind(): ShownPoint["kind"] {
-  const chosen = document.querySelector<HTMLInputElement>('input[name="kind"]:checked');
-  return chosen?.value === "outside" ? "outside" : "inside";
-}
-
-function choosesByLabel(): boolean {
-  return (state?.image?.labels.length ?? 0) > 0;
-}
-
-function setPoint(at_mm: Point, kind = chosenKind()): void {
-  if (choosesByLabel() || state?.image == null) return;
-  points.push({ at_mm, kind });
-  showPoints();
-  showPlanes();
-}
-
-function showPoints(): void {
-  const list = part("points");
-  list.replaceChildren(
-    ...points.map((point, number) => {
-      const item = document.createElement("li");
-      item.className = point.kind;
-      const words = `${point.kind} ${point.at_mm.map((x) => x.toFixed(1)).join(", ")} mm`;
-      item.append(words, " ");
-      const remove = document.createElement("button");
-      remove.type = "button";
-      remove.textContent = "remove";
-      remove.setAttribute("aria-label", `remove the point ${words}`);
-      remove.addEventListener("click", () => {
-        points.splice(number, 1);
-        showPoints();
-        showPlanes();
-      });
-      item.append(remove);
-      return item;
-    }),
-  );
-}
-
 function showPlanes(): void {
   if (cross === null || state === null) return;
+  const marks = organs.marks();
   for (const [plane, view] of views) {
     view.load(sliceAddress(plane, cross.at_mm, window_, state.version));
-    view.mark(cross, points);
+    view.mark(cross, marks);
     const caption = part(plane).parentElement?.querySelector("figcaption");
-    const normal = { axial: 2, coronal: 1, sagittal: 0 }[plane];
-    if (caption != null) caption.textContent = `${plane} ${cross.at_mm[normal]!.toFixed(1)} mm`;
+    if (caption != null) caption.textContent = `${plane} ${cross.at_mm[normalAxis(plane)]!.toFixed(1)} mm`;
   }
   part("window").textContent = `${window_[0].toFixed(0)} ± ${(0.5 * window_[1]).toFixed(0)}`;
-}
-
-function facts(list: HTMLElement, rows: readonly (readonly [string, string])[]): void {
-  list.replaceChildren(
-    ...rows.flatMap(([name, value]) => {
-      const [term, text] = [document.createElement("dt"), document.createElement("dd")];
-      [term.textContent, text.textContent] = [name, value];
-      return [term, text];
-    }),
-  );
-}
-
-function options(select: HTMLSelectElement, list: readonly { readonly value: string; readonly text: string }[], chosen?: string): void {
-  if (select.options.length === list.length) return;
-  select.replaceChildren(...list.map(({ value, text }) => new Option(text, value, false, value === chosen)));
 }
 
 function setUpImage(image: ImageSummary): void {
   const box: Box = { from_mm: image.from_mm, to_mm: image.to_mm };
   const middle = image.from_mm.map((x, i) => 0.5 * (x + image.to_mm[i]!)) as unknown as Point;
   cross = { box, steps_mm: image.steps_mm, at_mm: middle };
-  points.length = 0;
-  showPoints();
   window_ = [...image.window];
   const [least, most] = image.values;
   const range = (id: string, min: number, max: number, value: number): void => {
@@ -129,9 +75,9 @@ function setUpImage(image: ImageSummary): void {
     ["voxels", `${image.voxels.join(" × ")} of ${image.spacing_mm.map((x) => x.toFixed(2)).join(" × ")} mm`],
     ["holds", labels.length > 0 ? `${labels.length} labels` : `values from ${least} to ${most}`],
   ]);
-  part("notes").replaceChildren(
-    ...image.notes.map((note) => Object.assign(document.createElement("li"), { textContent: note })),
-  );
+  part("notes").replaceChildren(...image.notes.map((note) => item(note, [])));
+  part("as-values").hidden = !image.are_labels_guessed;
+  organs.begin();
 }
 
 /** Shows what went wrong, until the next thing is done. */
@@ -148,83 +94,59 @@ function complainOf(error: unknown): void {
 function show(now: PatientState): void {
   const isNew = state === null || state.version !== now.version;
   state = now;
-  const { image, organ, mesh, job } = now;
+  const { image, mesh, job } = now;
+  const isBusy = job !== null;
   if (!isSending) {
-    status.textContent = job === null ? stepWords(now) : `${job.what}… ${job.seconds.toFixed(0)} s`;
-    status.classList.toggle("busy", job !== null);
+    const running = job?.is_cancelled === true ? "cancelling" : job?.what;
+    status.textContent = job === null ? stepWords(now) : `${running}… ${job.seconds.toFixed(0)} s`;
+    status.classList.toggle("busy", isBusy);
   }
+  part("cancel").hidden = !isBusy || job.is_cancelled;
+  const progress = part<HTMLProgressElement>("progress");
+  progress.hidden = !isBusy;
+  progress.value = job?.share ?? 0;
   if (now.error !== serverError) {
     serverError = now.error;
     complain(now.error);
   }
-  if (isNew) {
-    const series = part("series");
-    series.hidden = now.series.length === 0;
-    series.replaceChildren(...now.series.map(seriesButton));
-  }
   part("organ").hidden = part("planes").hidden = image === null;
-  part("mesh").hidden = organ === null;
+  part("mesh").hidden = now.organs.length === 0;
   part("start").hidden = mesh === null;
-  for (const button of document.querySelectorAll<HTMLButtonElement>("main section > button")) button.disabled = job !== null;
+  for (const button of document.querySelectorAll<HTMLButtonElement>("main section > button, #organs button")) button.disabled = isBusy;
+  if (!isNew) return;
+  const series = part("series");
+  series.hidden = now.series.length === 0;
+  series.replaceChildren(...now.series.map(seriesButton));
   if (image === null) return;
   if (now.image_number !== shownImage) {
     shownImage = now.image_number;
     setUpImage(image);
   }
-  part("by-label").hidden = !choosesByLabel();
-  part("by-points").hidden = choosesByLabel();
-  part("find").textContent = choosesByLabel() ? "Take this label" : "Find the organ";
-  if (organ !== null) {
-    const cut = organ.cut_off_at.length > 0 ? `, cut off at the border of the image: ${organ.cut_off_at.join(", ")}` : "";
-    part("organ-found").textContent = `${organ.volume_ml.toFixed(1)} ml${cut}`;
-  } else {
-    part("organ-found").textContent = "";
-  }
+  organs.show();
   const input = part<HTMLInputElement>("tetrahedra");
   if (input.value === "") {
     const [least, offered, most] = now.offers.tetrahedra;
     [input.min, input.max, input.value] = [String(least), String(most), String(offered)];
   }
-  const picture = part<HTMLImageElement>("picture");
-  picture.hidden = mesh === null;
-  if (mesh !== null) {
-    if (isNew) picture.src = `${PICTURE}?v=${now.version}`;
-    part("picture-caption").textContent = `${mesh.tetrahedra} tetrahedra`;
-    facts(part("mesh-found"), [
-      ["tetrahedra", `${mesh.tetrahedra}, ${mesh.nodes} nodes`],
-      ["volume", `${mesh.volume_ml.toFixed(1)} ml, ${(100 * mesh.volume_error).toFixed(2)} % off the voxels`],
-      ["dihedral angles", `${mesh.dihedral_deg[0].toFixed(1)} to ${mesh.dihedral_deg[1].toFixed(1)} degrees`],
-      ["mean edge", `${mesh.mean_edge_mm.toFixed(1)} mm`],
-      ["thin places", String(mesh.thin_places)],
-    ]);
-  } else {
-    part("picture-caption").textContent = "";
-  }
-  const named = (names: readonly string[]): { value: string; text: string }[] => names.map((name) => ({ value: name, text: name }));
-  options(part("tissue"), named(now.offers.tissues), "liver");
+  tetrahedra.show(now);
   options(part("model"), now.offers.models.map(({ name, about }) => ({ value: name, text: `${name}: ${about}` })));
   options(part("held"), named(now.offers.held));
-  if (isNew) showPlanes();
+  showPlanes();
 }
 
 function stepWords(now: PatientState): string {
   if (now.image === null && now.series.length > 0) return "the folder holds several series: choose one";
   if (now.image === null) return "waiting for an image";
-  if (now.organ === null) return choosesByLabel() ? "choose the organ's label" : "set points in and around the organ, then find it";
-  if (now.mesh === null) return "fill the organ with tetrahedra";
+  if (now.organs.length === 0) return now.image.labels.length > 0 ? "choose the organ's label" : "set points in and around the organ, then find it";
+  if (now.mesh === null) return "look for another organ, or fill with tetrahedra";
   return "choose tissue, model and what holds it, then start";
 }
 
 function seriesButton(words: string, place: number): HTMLLIElement {
-  const [item, button] = [document.createElement("li"), document.createElement("button")];
-  button.type = "button";
-  button.textContent = words;
-  button.addEventListener("click", () => void step("open", { series: place + 1 }));
-  item.append(button);
-  return item;
+  return item("", [{ text: words, name: words, press: () => void step("open", { series: place + 1 }) }]);
 }
 
-async function step(name: "open" | "organ" | "mesh" | "start", choice: object): Promise<void> {
+async function step(name: Step, choice: object): Promise<void> {
   complain(null);
   try {
     await post(name, choice);
@@ -302,17 +224,14 @@ async function goToSimulation(): Promise<void> {
   location.reload();
 }
 
-part("find").addEventListener("click", () => {
-  const of = (kind: ShownPoint["kind"]): Point[] => points.filter((point) => point.kind === kind).map((point) => point.at_mm);
-  const byLabel = { label: part<HTMLSelectElement>("label").value };
-  void step("organ", choosesByLabel() ? byLabel : { inside_mm: of("inside"), outside_mm: of("outside") });
-});
+part("as-values").addEventListener("click", () => void step("values", {}));
+part("cancel").addEventListener("click", () => void step("cancel", {}));
 part("fill").addEventListener("click", () => {
   void step("mesh", { tetrahedra: Math.round(part<HTMLInputElement>("tetrahedra").valueAsNumber) || 0 });
 });
 part("run").addEventListener("click", () => {
   const value = (id: string): string => part<HTMLSelectElement>(id).value;
-  void step("start", { tissue: value("tissue"), model: value("model"), held: value("held") });
+  void step("start", { tissues: tetrahedra.tissues(), model: value("model"), held: value("held") });
 });
 for (const id of ["folder", "files"]) {
   const input = part<HTMLInputElement>(id);
@@ -342,10 +261,10 @@ document.addEventListener("drop", (event) => {
   if (event.dataTransfer !== null) droppedFiles(event.dataTransfer).then(take, complainOf);
 });
 document.addEventListener("keydown", (event) => {
-  const isTyping = event.target instanceof HTMLInputElement && event.target.type === "number";
-  const kind = { i: "inside", o: "outside" }[event.key.toLowerCase()];
-  if (kind === undefined || isTyping || event.ctrlKey || event.altKey || event.metaKey) return;
-  const input = document.querySelector<HTMLInputElement>(`input[name="kind"][value="${kind}"]`);
-  if (input !== null) input.checked = true;
+  if (event.ctrlKey || event.altKey || event.metaKey) return;
+  if (event.key === "Escape" && state?.job != null) void step("cancel", {});
+  const { target } = event;
+  const isTyping = (target instanceof HTMLInputElement && ["number", "text"].includes(target.type)) || target instanceof HTMLSelectElement;
+  if (!isTyping && state?.image != null) organs.key(event.key.toLowerCase());
 });
 void ask();

@@ -80,3 +80,14 @@ export function aspect(plane: PlaneName, box: Box): number {
   const size = ({ axis }: Axis): number => Math.max(box.to_mm[axis]! - box.from_mm[axis]!, 1e-3);
   return size(right) / size(down);
 }
+
+/** Whether two points are in one slice of the image, where its slices are parallel to the plane. */
+export function isOneSlice(plane: PlaneName, image: { readonly box: Box; readonly steps_mm: Point; readonly at_mm: Point }, other_mm: Point): boolean {
+  const axis = normalAxis(plane);
+  const sliceOf = (point: Point): number => {
+    const slice = Math.floor((point[axis]! - image.box.from_mm[axis]!) / image.steps_mm[axis]!);
+    const last = Math.round((image.box.to_mm[axis]! - image.box.from_mm[axis]!) / image.steps_mm[axis]!) - 1;
+    return Math.min(slice, last);
+  };
+  return sliceOf(image.at_mm) === sliceOf(other_mm);
+}

@@ -19,18 +19,37 @@ export interface ImageSummary {
   readonly values: readonly [number, number];
   readonly labels: readonly { readonly label: number; readonly name: string }[];
   readonly notes: readonly string[];
+  /** Whether the numbers were taken for labels though the file does not say so. */
+  readonly are_labels_guessed: boolean;
+  /** Where outlines are drawn. */
+  readonly plane_of_slices: PlaneName;
+}
+
+/** A closed line in a slice; without points: the organ is not in it. */
+export interface Outline {
+  readonly through_mm: Point;
+  readonly points_mm: readonly Point[];
 }
 
 export interface OrganSummary {
+  readonly name: string;
   readonly volume_ml: number;
   readonly cut_off_at: readonly string[];
+  readonly n_outlines: number;
+  /** Slices whose contours did not come to rest. */
+  readonly not_at_rest_mm: readonly Point[];
 }
 
 export interface MeshSummary {
   readonly tetrahedra: number;
   readonly nodes: number;
-  readonly volume_ml: number;
-  readonly volume_error: number;
+  readonly organs: readonly { readonly name: string; readonly tetrahedra: number; readonly volume_ml: number; readonly volume_error: number }[];
+  /** Organs that hang together are one. */
+  readonly bodies: number;
+  /** Tetrahedra of each step of quality. */
+  readonly n_of_quality: readonly number[];
+  /** Pieces that were left out. */
+  readonly crumbs: number;
   readonly dihedral_deg: readonly [number, number];
   readonly mean_edge_mm: number;
   readonly thin_places: number;
@@ -41,11 +60,11 @@ export interface PatientState {
   readonly version: number;
   /** Grows with each image. */
   readonly image_number: number;
-  readonly job: { readonly what: string; readonly seconds: number } | null;
+  readonly job: { readonly what: string; readonly seconds: number; readonly share: number; readonly is_cancelled: boolean } | null;
   readonly error: string | null;
   readonly series: readonly string[];
   readonly image: ImageSummary | null;
-  readonly organ: OrganSummary | null;
+  readonly organs: readonly OrganSummary[];
   readonly mesh: MeshSummary | null;
   readonly started: boolean;
   readonly offers: {
@@ -54,6 +73,8 @@ export interface PatientState {
     readonly held: readonly string[];
     /** Least, offered, most. */
     readonly tetrahedra: Point;
+    /** From which smallest dihedral angle on tetrahedra have which colour. */
+    readonly quality: readonly { readonly from_deg: number; readonly colour: Point }[];
   };
 }
 
@@ -70,8 +91,10 @@ export async function fetchState(): Promise<PatientState> {
   return (await asked("state")).json() as Promise<PatientState>;
 }
 
-/** Begins a step of the server. */
-export async function post(step: "open" | "organ" | "mesh" | "start", choice: object): Promise<void> {
+export type Step = "open" | "values" | "organ" | "remove" | "mesh" | "start" | "cancel";
+
+/** Begins a step of the server, or cancels the one that runs. */
+export async function post(step: Step, choice: object): Promise<void> {
   await asked(step, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(choice) });
 }
 
@@ -91,4 +114,22 @@ export function sliceAddress(plane: PlaneName, at_mm: Point, window: readonly [n
   return `${API}slice/${plane}/${numbers}?v=${version}`;
 }
 
-export const PICTURE = `${API}picture.png`;
+/** How the tetrahedra are looked at. */
+export interface MeshLook {
+  readonly azimuth_deg: number;
+  readonly elevation_deg: number;
+  readonly cut: PlaneName | "none";
+  /** Of the organs' box, along the cut's normal. */
+  readonly share: number;
+  readonly colours: "organ" | "quality";
+}
+
+export function pictureAddress(look: MeshLook, version: number): string {
+  const { azimuth_deg, elevation_deg, cut, share, colours } = look;
+  return `${API}picture/${azimuth_deg.toFixed(1)}/${elevation_deg.toFixed(1)}/${cut}/${share.toFixed(3)}/${colours}?v=${version}`;
+}
+
+/** The outlines that an organ was made from. */
+export async function fetchOutlines(organ: string): Promise<readonly Outline[]> {
+  return (await asked(`outlines/${encodeURIComponent(organ)}`)).json() as Promise<readonly Outline[]>;
+}

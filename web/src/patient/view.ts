@@ -1,6 +1,7 @@
-/** One plane: its picture, the cross, the points, and what mouse and keys do there. */
-import { aspect, moved, normalAxis, pointAt, shareOf, type Box } from "./planes";
-import type { PlaneName, Point } from "./state";
+/** One plane: its picture, the cross, points and outlines, and what mouse and keys do there. */
+import { Loader } from "./loader";
+import { aspect, isOneSlice, moved, normalAxis, pointAt, shareOf, type Box } from "./planes";
+import type { Outline, PlaneName, Point } from "./state";
 
 export interface ShownPoint {
   readonly at_mm: Point;
@@ -15,11 +16,27 @@ export interface Cross {
   readonly at_mm: Point;
 }
 
+/** What lies in the planes. */
+export interface Marks {
+  readonly points: readonly ShownPoint[];
+  /** Found in the image. */
+  readonly found: readonly Outline[];
+  /** Drawn by hand: they count where there are some in a slice. */
+  readonly byHand: readonly Outline[];
+  /** Corners of an outline that is being drawn, in the plane of the slices. */
+  readonly draft: readonly Point[];
+  readonly planeOfSlices: PlaneName;
+}
+
 export interface PlaneHandlers {
   /** The cross goes there. */
   readonly go: (to_mm: Point) => void;
-  /** A point is set there; its kind is the chosen one unless it is said. */
-  readonly setPoint: (at_mm: Point, kind?: ShownPoint["kind"]) => void;
+  /** A point of the chosen kind, or a corner of an outline, is set there. */
+  readonly set: (at_mm: Point, plane: PlaneName) => void;
+  /** Whether outlines are drawn in this plane now. */
+  readonly isDrawing: (plane: PlaneName) => boolean;
+  /** The outline that was drawn by dragging ends. */
+  readonly finish: () => void;
 }
 
 const STEPS: Readonly<Record<string, readonly [number, number, number]>> = {
@@ -34,79 +51,99 @@ const STEPS: Readonly<Record<string, readonly [number, number, number]>> = {
 const WHEEL_STEP = 30;
 /** Voxels of an arrow with the shift key. */
 const FAST = 10;
+/** Places of a line that is drawn by dragging are so far apart at least [pixels]. */
+const DRAWN_STEP = 3;
 /** Points further from the plane than this are not shown in it [mm]. */
 const NEAR_MM = 6;
 
 export class PlaneView {
-  private readonly picture = new Image();
+  private readonly loader = new Loader("");
   private readonly marks = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   private cross: Cross | null = null;
-  /** What is to be shown once the picture under way is there. */
-  private next: string | null = null;
-  private isLoading = false;
   /** How far the wheel was turned since the last slice. */
   private turned = 0;
+  /** Where the line that is being drawn is, and how many places it has. */
+  private drawn: { at: readonly [number, number]; n: number } | null = null;
 
   constructor(
     private readonly plane: PlaneName,
     private readonly node: HTMLElement,
     private readonly handlers: PlaneHandlers,
   ) {
-    this.picture.alt = "";
-    this.picture.draggable = false;
-    node.append(this.picture, this.marks);
-    const done = (): void => {
-      this.isLoading = false;
-      if (this.next !== null) this.load(this.next);
-    };
-    this.picture.addEventListener("load", done);
-    this.picture.addEventListener("error", () => {
-      // Not the slice before under this one's cross.
-      this.picture.removeAttribute("src");
-      done();
-    });
+    // Lines are given in hundredths of the picture's sides.
+    this.marks.setAttribute("viewBox", "0 0 100 100");
+    this.marks.setAttribute("preserveAspectRatio", "none");
+    node.append(this.loader.picture, this.marks);
     node.addEventListener("pointerdown", (event) => this.press(event));
+    node.addEventListener("pointermove", (event) => this.draw(event));
+    for (const end of ["pointerup", "pointercancel"]) node.addEventListener(end, () => this.endDrawing());
     node.addEventListener("wheel", (event) => this.turn(event), { passive: false });
     node.addEventListener("keydown", (event) => this.key(event));
   }
 
-  /** Shows the slice at an address; of several in a row the last one. */
+  /** Shows the slice at an address. */
   load(address: string): void {
-    if (this.isLoading) {
-      this.next = address;
-      return;
-    }
-    this.next = null;
-    if (this.picture.src.endsWith(address)) return;
-    this.isLoading = true;
-    this.picture.src = address;
+    this.loader.load(address);
   }
 
-  /** Shows the cross and the points near the plane. */
-  mark(cross: Cross, points: readonly ShownPoint[]): void {
+  /** Shows the cross, the points near the plane and the outlines in it. */
+  mark(cross: Cross, marks: Marks): void {
     this.cross = cross;
     this.node.style.aspectRatio = String(aspect(this.plane, cross.box));
-    const [x, y] = shareOf(this.plane, cross.box, cross.at_mm);
-    const percent = (share: number): string => `${(100 * share).toFixed(3)}%`;
-    const line = (x1: number, y1: number, x2: number, y2: number): string =>
-      `<line x1="${percent(x1)}" y1="${percent(y1)}" x2="${percent(x2)}" y2="${percent(y2)}"/>`;
+    const at = (point: Point): string => shareOf(this.plane, cross.box, point).map((share) => (100 * share).toFixed(3)).join(",");
+    const [x, y] = shareOf(this.plane, cross.box, cross.at_mm).map((share) => (100 * share).toFixed(3));
     const normal = normalAxis(this.plane);
-    const near = points.filter((point) => Math.abs(point.at_mm[normal]! - cross.at_mm[normal]!) <= NEAR_MM);
-    const dots = near.map((point) => {
-      const [cx, cy] = shareOf(this.plane, cross.box, point.at_mm);
-      return `<circle class="${point.kind}" cx="${percent(cx)}" cy="${percent(cy)}" r="5"/>`;
-    });
-    this.marks.innerHTML = line(x, 0, x, 1) + line(0, y, 1, y) + dots.join("");
+    const near = marks.points.filter((point) => Math.abs(point.at_mm[normal]! - cross.at_mm[normal]!) <= NEAR_MM);
+    // Without width of its own a line of no length is a dot as wide as its stroke, whatever the picture's sides are.
+    const dots = near.map((point) => `<path class="dot ${point.kind}" d="M ${at(point.at_mm)} h 0"/>`);
+    this.marks.innerHTML =
+      `<path class="cross" d="M ${x},0 V 100 M 0,${y} H 100"/>` + dots.join("") + (this.plane === marks.planeOfSlices ? this.outlines(cross, marks, at) : "");
+  }
+
+  private outlines(cross: Cross, marks: Marks, at: (point: Point) => string): string {
+    const isHere = ({ through_mm }: Outline): boolean => isOneSlice(this.plane, cross, through_mm);
+    const byHand = marks.byHand.filter(isHere);
+    const shown = byHand.length > 0 ? byHand : marks.found.filter(isHere);
+    const closed = shown
+      .filter(({ points_mm }) => points_mm.length > 0)
+      .map(({ points_mm }) => `<path class="${byHand.length > 0 ? "by-hand" : "found"}" d="M ${points_mm.map(at).join(" L ")} Z"/>`);
+    const isDraftHere = marks.draft[0] !== undefined && isOneSlice(this.plane, cross, marks.draft[0]);
+    const draft = isDraftHere ? `<path class="draft" d="M ${marks.draft.map(at).join(" L ")} h 0"/>` : "";
+    return closed.join("") + draft;
+  }
+
+  /** Where the mouse is: shares of the picture's sides. */
+  private sharesOf(event: PointerEvent): [number, number] {
+    const frame = this.node.getBoundingClientRect();
+    return [(event.clientX - frame.left) / frame.width, (event.clientY - frame.top) / frame.height];
   }
 
   private press(event: PointerEvent): void {
     if (this.cross === null || event.button !== 0) return;
-    const frame = this.node.getBoundingClientRect();
-    const shares = [(event.clientX - frame.left) / frame.width, (event.clientY - frame.top) / frame.height] as const;
-    const at = pointAt(this.plane, this.cross.box, this.cross.at_mm, shares);
-    this.handlers.go(at);
+    const at = pointAt(this.plane, this.cross.box, this.cross.at_mm, this.sharesOf(event));
+    if (this.handlers.isDrawing(this.plane) && !event.ctrlKey) {
+      this.drawn = { at: [event.clientX, event.clientY], n: 1 };
+      this.node.setPointerCapture(event.pointerId);
+    } else {
+      this.handlers.go(at);
+    }
     // With the control key only the cross goes there.
-    if (!event.ctrlKey) this.handlers.setPoint(at);
+    if (!event.ctrlKey) this.handlers.set(at, this.plane);
+  }
+
+  private draw(event: PointerEvent): void {
+    if (this.cross === null || this.drawn === null) return;
+    const { at, n } = this.drawn;
+    if (Math.hypot(event.clientX - at[0], event.clientY - at[1]) < DRAWN_STEP) return;
+    this.drawn = { at: [event.clientX, event.clientY], n: n + 1 };
+    this.handlers.set(pointAt(this.plane, this.cross.box, this.cross.at_mm, this.sharesOf(event)), this.plane);
+  }
+
+  /** A line that was dragged is closed; a click was a corner. */
+  private endDrawing(): void {
+    const isLine = (this.drawn?.n ?? 0) > 2;
+    this.drawn = null;
+    if (isLine) this.handlers.finish();
   }
 
   private turn(event: WheelEvent): void {
@@ -127,7 +164,7 @@ export class PlaneView {
       event.preventDefault();
       this.step(by, event.shiftKey);
     } else if (event.key === "Enter") {
-      this.handlers.setPoint(this.cross.at_mm);
+      this.handlers.set(this.cross.at_mm, this.plane);
     }
   }
 

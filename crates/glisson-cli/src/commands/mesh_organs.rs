@@ -10,6 +10,7 @@ use glisson::surface::files::write_surface;
 
 use super::image_input::read_with_notes;
 use super::output::{check_extension, make_folder_of};
+use super::progress::with_bar;
 
 /// Number of tetrahedra when neither a number nor a size is given.
 const DEFAULT_TETRAHEDRA: usize = 20_000;
@@ -65,12 +66,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Some(cell_mm) => OrganSize::CellM(1e-3 * cell_mm),
         None => OrganSize::Tetrahedra(args.tetrahedra.unwrap_or(DEFAULT_TETRAHEDRA)),
     };
-    let bar = indicatif::ProgressBar::new(100);
-    let organs = mesh_organs(&map, &OrganMeshParams { labels, size }, &mut |done| {
-        bar.set_position((100.0 * done) as u64);
-    })
-    .with_context(in_input)?;
-    bar.finish_and_clear();
+    let organs = with_bar("filling", || mesh_organs(&map, &OrganMeshParams { labels, size }))
+        .with_context(in_input)?;
     make_folder_of(&args.output)?;
     let label_of: Vec<i32> = organs.label_of.iter().map(|&label| i32::from(label)).collect();
     let field =

@@ -2,6 +2,7 @@
 
 mod image_input;
 mod output;
+mod progress;
 mod phantom;
 mod import;
 mod slice_contours;

@@ -15,6 +15,7 @@ use serde_json::json;
 
 use super::image_input::read_with_notes;
 use super::output::make_folder_of;
+use super::progress::with_bar;
 use super::slice_contours;
 
 /// Find the liver, or the organ at a point, in a CT volume.
@@ -103,10 +104,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             [&args.outside_mm, &args.outside_voxel],
         )?,
     };
-    let progress = indicatif::ProgressBar::new_spinner().with_message("segmenting");
-    progress.enable_steady_tick(std::time::Duration::from_millis(200));
-    let found = found(args, &ct, &seeds, corrections).with_context(|| args.ct.display().to_string())?;
-    progress.finish_and_clear();
+    let found = with_bar("segmenting", || found(args, &ct, &seeds, corrections))
+        .with_context(|| args.ct.display().to_string())?;
 
     let labels = found.mask.iter().map(|&inside| u16::from(inside)).collect();
     let map =

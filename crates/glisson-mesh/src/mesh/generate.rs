@@ -14,6 +14,7 @@ use super::stuffing::{
 use super::thin::{ThinFeature, thin_features};
 use super::{NodeId, TetMesh};
 use crate::math::{Aabb, DVec3};
+use crate::progress::{part, tell};
 use crate::surface::TriMesh;
 use crate::surface::signed_distance::{SignedDistance, SignedDistanceError};
 
@@ -162,9 +163,10 @@ pub enum MeshingError {
 /// [`MeshingError`]: the surface is not closed, the parameters make no sense, or no attempt gave a mesh with the
 /// surface's number of pieces and Euler number.
 pub fn generate(surface: &TriMesh, params: &MeshParams) -> Result<(TetMesh, MeshReport), MeshingError> {
+    tell(0.0);
     let plan = MeshPlan::new(surface, params)?;
     let field = plan.distance_field(surface)?;
-    plan.fill(&field)
+    part(0.3, 1.0, || plan.fill(&field))
 }
 
 /// A checked surface and parameters, ready to be meshed in two steps.
@@ -412,6 +414,8 @@ impl Attempt<'_> {
         let (mut low, mut high): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
         let mut level_m = level_m.clamp(-cell_m, cell_m);
         for _ in 0..MAX_LEVELS {
+            // How many there will be is not known; mostly some ten.
+            tell(*n_fillings as f64 / (*n_fillings as f64 + 5.0));
             *n_fillings += 1;
             let filling = stuffing.fill(level_m).map_err(|error: StuffingError| error.to_string())?;
             let error = filling.mesh.volume_m3() / wanted_m3 - 1.0;

@@ -25,6 +25,7 @@ use crate::image::VoxelGrid;
 use crate::image::resample::VoxelBox;
 use crate::image::topology::{TopologyRepair, repair_to_ball};
 use crate::math::DVec3;
+use crate::progress::tell;
 
 /// How a mask becomes a surface.
 #[derive(Clone, Debug, PartialEq)]
@@ -118,6 +119,7 @@ pub(super) fn surface_and_solid(
     params: &SurfaceParams,
 ) -> Result<(TriMesh, SurfaceReport, Vec<bool>), SurfaceError> {
     check_parameters(grid, params)?;
+    tell(0.0);
     let mut solid = mask.to_vec();
     let repair = repair_to_ball(grid, &mut solid)?;
     check_border(grid, mask, params)?;
@@ -125,10 +127,13 @@ pub(super) fn surface_and_solid(
     let n_voxels = repair.voxels_before + repair.voxels_added - repair.voxels_removed;
     let voxel_volume_m3 = n_voxels as f64 * grid.voxel_volume_m3();
 
+    tell(0.3);
     let net = extract(grid, &solid);
+    tell(0.5);
     let n_triangles_extracted = net.triangles.len();
     let smoothed = smooth(grid, &net, params, voxel_volume_m3)?;
     let mut surface = grid_to_patient(grid, &smoothed.mesh_m);
+    tell(0.9);
     if let Some(target) = params.target_triangles {
         surface = decimate(&surface, target)?;
         restore_volume(&mut surface, voxel_volume_m3)?;

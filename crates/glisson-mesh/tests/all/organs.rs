@@ -10,9 +10,12 @@ use glisson_mesh::mesh::organs::{
 };
 use glisson_mesh::mesh::quality::{MeshQuality, SurfaceShape};
 use glisson_mesh::mesh::topology::Topology;
+use glisson_mesh::progress::watched;
 use glisson_mesh::surface::intersect::self_intersections;
 use proptest::prelude::*;
 use std::collections::BTreeSet;
+use std::ops::ControlFlow;
+use std::sync::{Arc, Mutex};
 
 /// A map of cubic voxels whose labels are those of `label_at` at their centres [m].
 fn painted(dims: [usize; 3], voxel_m: f64, label_at: impl Fn(DVec3) -> u16) -> LabelMap {
@@ -41,7 +44,7 @@ fn middle_m(map: &LabelMap) -> DVec3 {
 
 fn meshed(map: &LabelMap, cell_m: f64) -> OrganMesh {
     let params = OrganMeshParams { labels: Vec::new(), size: OrganSize::CellM(cell_m) };
-    mesh_organs(map, &params, &mut |_| ()).unwrap()
+    mesh_organs(map, &params).unwrap()
 }
 
 /// Triangles over the mesh's nodes, each turned so that its lowest node is first.
@@ -129,12 +132,17 @@ fn the_phantoms_organs_share_their_interfaces() {
     ];
     let labels = tissues.map(Tissue::label).to_vec();
     let params = OrganMeshParams { labels: labels.clone(), size: OrganSize::Tetrahedra(40_000) };
-    let mut told = Vec::new();
     // The great vessels and the stomach reach the end of the image.
-    let error = mesh_organs(&patient.labels, &params, &mut |_| ()).unwrap_err();
+    let error = mesh_organs(&patient.labels, &params).unwrap_err();
     assert!(matches!(error, OrganMeshError::Border { label: 17, .. }), "{error}");
     let params = OrganMeshParams { labels: labels[..6].to_vec(), ..params };
-    let organs = mesh_organs(&patient.labels, &params, &mut |share| told.push(share)).unwrap();
+    let told = Arc::new(Mutex::new(Vec::new()));
+    let hears = Arc::clone(&told);
+    let listener = move |share| {
+        hears.lock().unwrap().push(share);
+        ControlFlow::Continue(())
+    };
+    let organs = watched(listener, || mesh_organs(&patient.labels, &params)).unwrap().unwrap();
     assert_is_sound(&organs);
     assert!((organs.report.n_tets as f64 / 40_000.0 - 1.0).abs() < 0.05, "{}", organs.report.n_tets);
     // Cells of 10 mm: the veins are thinner than that, the tumour is one and a half across.
@@ -144,6 +152,7 @@ fn the_phantoms_organs_share_their_interfaces() {
     for pair in [[0, 1], [1, 2], [1, 3], [1, 4], [1, 5], [1, 7], [0, 7]] {
         assert!(neighbours.contains(&pair), "{neighbours:?}");
     }
+    let told = told.lock().unwrap();
     assert!(told.windows(2).all(|w| w[0] < w[1]) && told.last() == Some(&1.0));
 }
 
@@ -305,7 +314,7 @@ fn what_cannot_be_meshed_is_refused_with_the_figures() {
         painted([20; 3], 1e-3, |p| if p.distance(middle) < radius_m { label } else { 0 })
     };
     let refusal = |map: &LabelMap, labels: &[u16], size| {
-        mesh_organs(map, &OrganMeshParams { labels: labels.to_vec(), size }, &mut |_| ()).unwrap_err()
+        mesh_organs(map, &OrganMeshParams { labels: labels.to_vec(), size }).unwrap_err()
     };
     let cell = OrganSize::CellM(2e-3);
     assert_eq!(refusal(&ball(0.0, 1), &[], cell), OrganMeshError::NoLabels);
@@ -386,7 +395,7 @@ proptest! {
             }
         }
         let params = OrganMeshParams { labels: Vec::new(), size: OrganSize::CellM(1e-3 * cell_mm) };
-        match mesh_organs(&map, &params, &mut |_| ()) {
+        match mesh_organs(&map, &params) {
             Ok(organs) => assert_is_sound(&organs),
             Err(OrganMeshError::Vanished { label, .. }) => prop_assert!(label as u64 <= n_labels),
             Err(OrganMeshError::NoLabels) => prop_assert!(map.present().is_empty()),

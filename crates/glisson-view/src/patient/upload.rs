@@ -1,13 +1,15 @@
 //! Files that come by the page: each image in a folder of its own until it is read.
 
 use anyhow::{Context, ensure};
-use std::fs::OpenOptions;
-use std::io::Write;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 /// Files of one image at most: slices of a long scan in several phases. A choice.
 const MOST_FILES: usize = 10_000;
+/// Bytes of a file at most: more than any scan has. A choice.
+const MOST_BYTES: u64 = 64 << 30;
 /// Bytes of a name at most, with room for a number before it: what file systems take.
 const MOST_NAME: usize = 200;
 
@@ -35,8 +37,8 @@ impl Upload {
         self.folder.join(image.to_string())
     }
 
-    /// Takes a file of an image in.
-    pub(super) fn keep(&self, image: u64, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
+    /// A file of an image, to be written as it comes.
+    pub(super) fn create(&self, image: u64, name: &str) -> anyhow::Result<IncomingFile> {
         let number = {
             let mut current = self.current.lock().unwrap_or_else(PoisonError::into_inner);
             ensure!(current.0 == image, "another image is being sent since");
@@ -47,10 +49,14 @@ impl Upload {
         let folder = self.folder_of(image);
         std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
         let name = safe_name(name);
-        let create = |name: &str| OpenOptions::new().write(true).create_new(true).open(folder.join(name));
+        let create = |name: &str| {
+            let path = folder.join(name);
+            OpenOptions::new().write(true).create_new(true).open(&path).map(|file| (file, path))
+        };
         // Slices in several folders may have the same names.
-        let file = create(&name).or_else(|_| create(&format!("{number}_{name}")));
-        file.and_then(|mut file| file.write_all(bytes)).with_context(|| folder.display().to_string())
+        let created = create(&name).or_else(|_| create(&format!("{number}_{name}")));
+        let (file, path) = created.with_context(|| folder.display().to_string())?;
+        Ok(IncomingFile { file, path, n_bytes: 0, is_whole: false })
     }
 
     /// What is to be read of an image: its only file, the only header among files, or the folder.
@@ -77,6 +83,45 @@ impl Upload {
     /// Deletes all that came.
     pub(super) fn forget_all(&self) {
         delete(&self.folder);
+    }
+}
+
+/// A file that is coming; deleted unless it comes as a whole.
+pub(super) struct IncomingFile {
+    file: File,
+    path: PathBuf,
+    n_bytes: u64,
+    is_whole: bool,
+}
+
+impl IncomingFile {
+    /// It came as a whole.
+    pub(super) fn keep(mut self) {
+        self.is_whole = true;
+    }
+}
+
+impl Write for IncomingFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let n_written = self.file.write(bytes)?;
+        self.n_bytes += n_written as u64;
+        if self.n_bytes > MOST_BYTES {
+            return Err(io::Error::other(format!("a file of more than {MOST_BYTES} bytes came")));
+        }
+        Ok(n_written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Drop for IncomingFile {
+    fn drop(&mut self) {
+        if !self.is_whole {
+            // Where it cannot be deleted, it goes with its folder.
+            let _ = std::fs::remove_file(&self.path);
+        }
     }
 }
 
@@ -110,6 +155,13 @@ fn safe_name(name: &str) -> String {
 mod tests {
     use super::*;
 
+    fn keep(upload: &Upload, image: u64, name: &str) -> anyhow::Result<()> {
+        let mut file = upload.create(image, name)?;
+        file.write_all(b"x")?;
+        file.keep();
+        Ok(())
+    }
+
     #[test]
     fn files_stay_in_their_folder_and_go_when_the_page_does() {
         let parent = tempfile::tempdir().unwrap();
@@ -126,22 +178,26 @@ mod tests {
             (".hidden", "hidden"),
             (&long, &long[104..]),
         ] {
-            upload.keep(first, name, b"x").unwrap();
+            keep(&upload, first, name).unwrap();
             assert!(folder.join("1").join(kept).is_file(), "{name}");
         }
         assert_eq!(std::fs::read_dir(parent.path()).unwrap().count(), 1);
         assert_eq!(upload.image(first).unwrap(), folder.join("1"));
-        upload.keep(first, "CT liver.MHD", b"x").unwrap();
+        keep(&upload, first, "CT liver.MHD").unwrap();
         assert_eq!(upload.image(first).unwrap(), folder.join("1/CT liver.MHD"));
-        upload.keep(first, "other.mhd", b"x").unwrap();
+        keep(&upload, first, "other.mhd").unwrap();
         assert_eq!(upload.image(first).unwrap(), folder.join("1"));
         // The same name again is another file.
-        upload.keep(first, "passwd", b"y").unwrap();
+        keep(&upload, first, "passwd").unwrap();
         assert_eq!(std::fs::read_dir(folder.join("1")).unwrap().count(), 9);
 
+        // What breaks off is not kept.
+        drop(upload.create(first, "half").unwrap());
+        assert!(!folder.join("1/half").exists());
+
         let second = upload.begin();
-        assert!(upload.keep(first, "late", b"x").is_err());
-        upload.keep(second, "only.nrrd", b"x").unwrap();
+        assert!(keep(&upload, first, "late").is_err());
+        keep(&upload, second, "only.nrrd").unwrap();
         assert_eq!(upload.image(second).unwrap(), folder.join("2/only.nrrd"));
         upload.forget(second);
         assert!(!folder.join("2").exists() && folder.join("1").exists());

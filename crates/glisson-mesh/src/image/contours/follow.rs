@@ -16,6 +16,7 @@ use crate::image::filter::{self, Connectivity};
 use crate::image::resample::VoxelBox;
 use crate::image::segment::statistics::median;
 use crate::math::DVec2;
+use crate::progress::tell;
 
 /// Most sweeps up and down.
 const MAX_SWEEPS: usize = 4;
@@ -76,6 +77,9 @@ impl Follower<'_> {
         for sweep in 0..2 * MAX_SWEEPS {
             let mut n_changed = 0;
             for step in 1..n_slices {
+                // The first two sweeps are most of the work.
+                let n_swept = (sweep * n_slices + step) as f64 / n_slices as f64;
+                tell(n_swept / (n_swept + 1.0));
                 let (k, before) = match sweep % 2 {
                     0 => (step, step - 1),
                     _ => (n_slices - 1 - step, n_slices - step),

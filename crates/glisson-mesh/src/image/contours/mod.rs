@@ -42,6 +42,7 @@ use super::segment::statistics::check_on_image;
 use super::topology::TopologyRepair;
 use super::{Volume, VoxelGrid, filter};
 use crate::math::{DVec2, DVec3};
+use crate::progress::{part, tell};
 
 /// An organ found by contours.
 #[derive(Clone, Debug, PartialEq)]
@@ -87,6 +88,7 @@ pub fn segment_by_contours(
     let grid = &ct.grid;
     let plane = Plane::of(grid);
     let given = checked_corrections(grid, &params.corrections)?;
+    tell(0.0);
     let smooth = filter::gaussian(grid, &ct.values, params.denoise_m);
     let seeds_m = match params.seeds_m.as_slice() {
         [] => vec![guess_seed(grid, &smooth)?],
@@ -95,6 +97,7 @@ pub fn segment_by_contours(
     let seeds = seeds_m.iter().map(|&s| seed_in_slice(grid, s)).collect::<Result<Vec<_>, _>>()?;
     let level = OrganLevel::around(ct, &smooth, seeds_m[0], params)?;
 
+    tell(0.1);
     let enhanced = level.enhanced(&smooth);
     let gradient = match params.edges {
         EdgeMethod::Canny { sigma_m } => canny::gaussian_gradient(grid, &enhanced, sigma_m),
@@ -105,11 +108,13 @@ pub fn segment_by_contours(
     let is_tissue: Vec<bool> = smooth.iter().map(|&v| level.holds(v)).collect();
     let noise_per_m = gradient.noise(&is_tissue).unwrap_or(0.0);
     let edge_thresholds_per_m = params.edge_thresholds.map(|t| t * noise_per_m);
+    tell(0.2);
     let edges = edges::edges(grid, &gradient, edge_thresholds_per_m);
 
     let kernel = stiffness_kernel(params.elasticity, params.bending);
     let follower = Follower { plane, smooth: &smooth, edges: &edges, level: &level, kernel: &kernel, params };
-    let slices = follower.follow(&seeds, &given);
+    let slices = part(0.3, 0.9, || follower.follow(&seeds, &given));
+    tell(0.9);
     let contours: Vec<SliceContour> = slices
         .iter()
         .enumerate()

@@ -16,6 +16,7 @@
 use rayon::prelude::*;
 
 use crate::image::VoxelGrid;
+use crate::progress::tell;
 
 /// What an area on an edge counts at least.
 const LEAST_AREA: f32 = 0.03;
@@ -62,7 +63,8 @@ impl Contour<'_> {
         let step = 1.0 / norm;
         let mut flow: Vec<[f32; 3]> = vec![[0.0; 3]; inside.len()];
         let mut ahead = inside.to_vec();
-        for _ in 0..n_steps {
+        for n_done in 0..n_steps {
+            tell(n_done as f64 / n_steps as f64);
             flow.par_chunks_mut(slice).enumerate().for_each(|(k, flow)| {
                 for j in 0..n_j {
                     let row = k * slice + j * n_i;

@@ -23,6 +23,7 @@ use crate::image::resample::{VoxelBox, block_means, steps_for};
 use crate::image::topology::{TopologyRepair, repair_to_ball};
 use crate::image::{Volume, VoxelGrid};
 use crate::math::DVec3;
+use crate::progress::{part, tell};
 use rayon::prelude::*;
 
 /// Points that tell an organ from what is around it [m], LPS.
@@ -83,12 +84,14 @@ pub fn segment_with_seeds(
     seeds: &Seeds,
     params: &SeededParams,
 ) -> Result<Segmentation, SegmentError> {
+    tell(0.0);
     let coarse = block_means(ct, steps_for(&ct.grid, params.voxel_m));
     let image = Denoised::of(&coarse, &params.region);
     let mut inside_m = seeds.inside_m.clone();
     if inside_m.is_empty() {
         inside_m.push(guess_seed(&coarse.grid, &image.smooth)?);
     }
+    tell(0.1);
     check_apart(&inside_m, &seeds.outside_m, params)?;
     let Core { mut band, mut core, statistics } = core_at(&image, inside_m[0], None, &params.region)?;
     for &seed_m in &inside_m[1..] {
@@ -105,6 +108,7 @@ pub fn segment_with_seeds(
             Err(error) => return Err(error),
         }
     }
+    tell(0.3);
     let edge_hu = (EDGE_NOISES * statistics.noise_hu).clamp(EDGE_LIMITS_HU[0], EDGE_LIMITS_HU[1]) as f32;
     if !seeds.outside_m.is_empty() {
         let voxels = SeedVoxels {
@@ -116,8 +120,10 @@ pub fn segment_with_seeds(
         retain(&mut core, |index| !barred[index]);
         core = pieces_with(&coarse.grid, &core, &voxels.inside);
     }
+    tell(0.4);
     let found = Found { band, core, barred, level_hu: statistics.level_hu };
     let rough = found.contour(&image, &inside_m, &seeds.outside_m, edge_hu, params);
+    tell(0.9);
     let (mask, repair) = in_own_voxels(&ct.grid, &rough)?;
     Ok(Segmentation {
         mask,
@@ -191,13 +197,13 @@ impl Found {
         let whole = &image.ct.grid;
         let region = &params.region;
         let margin_m = 2.0 * region.close_radius_m + params.free_depth_m;
-        let part = VoxelBox::around(whole, &self.core, margin_m).unwrap_or_else(|| VoxelBox::whole(whole));
-        let grid = part.grid(whole);
-        let core = part.cut(whole, &self.core);
-        let band = part.cut(whole, &self.band);
-        let values = part.cut(whole, &image.ct.values);
-        let not_fat = part.cut(whole, &not_fat(&image.smooth, self.level_hu));
-        let to_barred = filter::distance_squared_m2(&grid, &part.cut(whole, &self.barred));
+        let near = VoxelBox::around(whole, &self.core, margin_m).unwrap_or_else(|| VoxelBox::whole(whole));
+        let grid = near.grid(whole);
+        let core = near.cut(whole, &self.core);
+        let band = near.cut(whole, &self.band);
+        let values = near.cut(whole, &image.ct.values);
+        let not_fat = near.cut(whole, &not_fat(&image.smooth, self.level_hu));
+        let to_barred = filter::distance_squared_m2(&grid, &near.cut(whole, &self.barred));
         let to_core = filter::distance_squared_m2(&grid, &core);
         let cut2 = (region.cut_radius_m * region.cut_radius_m * (1.0 + 1e-5)) as f32;
         let allowed: Vec<bool> = (0..core.len()).map(|i| not_fat[i] && to_barred[i] > cut2).collect();
@@ -230,7 +236,7 @@ impl Found {
         }
         let area = areas(&grid, &values, edge_hu);
         let mut inside: Vec<f32> = with_slope.iter().map(|&m| f32::from(u8::from(m))).collect();
-        Contour { grid: &grid, area, cost }.relax(&mut inside, params.n_steps);
+        part(0.5, 0.9, || Contour { grid: &grid, area, cost }.relax(&mut inside, params.n_steps));
         Volume { grid, values: inside }
     }
 }

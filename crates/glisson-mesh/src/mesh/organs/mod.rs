@@ -49,6 +49,7 @@ use self::regions::RegionGrid;
 use self::sizing::{Sized, sized};
 use super::{NodeId, TetMesh};
 use crate::image::LabelMap;
+use crate::progress::tell;
 
 /// Smallest dihedral angle [degrees] that a mesh of organs has.
 pub const MIN_ORGAN_DIHEDRAL_DEG: f64 = 11.9;
@@ -72,7 +73,7 @@ const N_FREE_SWEEPS: usize = 2;
 /// Part of the progress that the first steps take.
 const PROGRESS_BEFORE_SWEEPS: f64 = 0.1;
 
-/// Meshes the organs of `map` together; `progress` hears how much is done, 0 to 1.
+/// Meshes the organs of `map` together.
 ///
 /// The same bits on every machine and at any number of threads. The time grows linearly with the number of tetrahedra and the
 /// number of voxels.
@@ -89,23 +90,19 @@ const PROGRESS_BEFORE_SWEEPS: f64 = 0.1;
 /// let patient = phantom::generate(&PhantomParams { voxel_m: 4e-3, ..PhantomParams::default() });
 /// let labels = vec![Tissue::Liver.label(), Tissue::GallBladder.label()];
 /// let params = OrganMeshParams { labels, size: OrganSize::CellM(0.012) };
-/// let organs = mesh_organs(&patient.labels, &params, &mut |_| ())?;
+/// let organs = mesh_organs(&patient.labels, &params)?;
 /// assert_eq!(organs.labels(), params.labels);
 /// let bed = organs.interface(Tissue::Liver.label(), Tissue::GallBladder.label());
 /// assert!(!bed.surface.triangles.is_empty());
 /// # Ok::<(), glisson_mesh::mesh::organs::OrganMeshError>(())
 /// ```
-pub fn mesh_organs(
-    map: &LabelMap,
-    params: &OrganMeshParams,
-    progress: &mut dyn FnMut(f64),
-) -> Result<OrganMesh, OrganMeshError> {
+pub fn mesh_organs(map: &LabelMap, params: &OrganMeshParams) -> Result<OrganMesh, OrganMeshError> {
     let regions = RegionGrid::new(map, &params.labels)?;
     let Sized { cell_m, labelling } = sized(&regions, params.size)?;
     let field = ShareField::new(&regions, cell_m);
     let complex = stencils::cut(&labelling.lattice, &labelling.regions);
     let faces = interface_faces(&complex);
-    progress(PROGRESS_BEFORE_SWEEPS);
+    tell(PROGRESS_BEFORE_SWEEPS);
     let wanted_m3 = regions.volumes_m3();
     let mut fit = Fit::new(complex, &field, Levels::new(labelling.levels.clone()), cell_m);
     for sweep in 0..N_SWEEPS {
@@ -114,7 +111,7 @@ pub fn mesh_organs(
         }
         fit.sweep();
         let done = (sweep + 1) as f64 / N_SWEEPS as f64;
-        progress(PROGRESS_BEFORE_SWEEPS + (1.0 - PROGRESS_BEFORE_SWEEPS) * done);
+        tell(PROGRESS_BEFORE_SWEEPS + (1.0 - PROGRESS_BEFORE_SWEEPS) * done);
     }
     let (complex, levels) = fit.finish();
     let (mesh, tet_regions) = without_outside(&complex);

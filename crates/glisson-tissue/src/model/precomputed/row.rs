@@ -5,6 +5,7 @@ use super::{
 };
 use crate::material::LawChoice;
 use crate::model::{DeformableModel, FollowedEdits, ModelError, ModelRow, OrganBody};
+use glisson_mesh::progress::Teller;
 
 pub(crate) const ROW: ModelRow = ModelRow {
     edits: FollowedEdits::Removals,
@@ -26,7 +27,9 @@ pub(in crate::model) fn uncut(body: &OrganBody, of: &ModelRow) -> Result<Precomp
         Some(file) => Precomputed::load(file, &PrecomputedExpectation { mesh, material, fixed_nodes }),
         None => {
             let (stored, precision) = (StoredNodes::Surface, Precision::F64);
-            let progress = None;
+            let teller = Teller::here();
+            let tell = |n_done: usize, n: usize| teller.tell(n_done as f64 / n as f64);
+            let progress: Option<&(dyn Fn(usize, usize) + Sync)> = Some(&tell);
             let params = PrecomputedParams { mesh, material, fixed_nodes, stored, precision, progress };
             Precomputed::build(&params)
         }

@@ -11,6 +11,7 @@ use super::series::{Series, open};
 use crate::binary::{ByteOrder, NumberType};
 use crate::image::VoxelGrid;
 use crate::math::DVec3;
+use crate::progress::tell;
 
 /// What people call the format.
 pub(super) const NAME: &str = "DICOM";
@@ -219,7 +220,10 @@ fn for_each_frame(
     mut visit: impl FnMut(&Frame, NumberType, Vec<i64>),
 ) -> Result<(), ImageError> {
     // Frames of one file that stand together, as they mostly do, are taken while it is open.
+    let mut n_done = 0;
     for together in frames.chunk_by(|a, b| a.file == b.file) {
+        tell(n_done as f64 / frames.len() as f64);
+        n_done += together.len();
         let file = &together[0].file;
         let object = open(file, true)?;
         let n_needed = together.iter().map(|frame| frame.index + 1).max().unwrap_or(1);

@@ -1,0 +1,227 @@
+/** The organs: what is said of the one that is looked for, and the list of those that were found. */
+import { item, part } from "./dom";
+import { Inputs, outlineWords, type Kind, type Method } from "./inputs";
+import { isOneSlice, normalAxis } from "./planes";
+import { fetchOutlines, type Outline, type PatientState, type PlaneName, type Point, type Step } from "./state";
+import type { Cross, Marks } from "./view";
+
+/** What the page does for the section of organs. */
+export interface OrganHost {
+  readonly state: () => PatientState | null;
+  readonly cross: () => Cross | null;
+  readonly go: (to_mm: Point) => void;
+  readonly step: (name: Step, choice: object) => Promise<void>;
+  readonly complain: (words: string | null) => void;
+  readonly showPlanes: () => void;
+}
+
+const KINDS: Readonly<Record<string, Kind>> = { i: "inside", o: "outside", c: "outline" };
+
+export class OrganSection {
+  private readonly inputs = new Inputs();
+  /** Contours that were found for the organ that is looked for. */
+  private found: readonly Outline[] = [];
+
+  constructor(private readonly host: OrganHost) {
+    part("find").addEventListener("click", () => {
+      const byLabel = { name: this.name(), label: part<HTMLSelectElement>("label").value };
+      void host.step("organ", this.choosesByLabel() ? byLabel : this.inputs.choice(this.name()));
+    });
+    part("another").addEventListener("click", () => this.lookForAnother());
+    part("label").addEventListener("change", () => this.nameByLabel());
+    part("method").addEventListener("change", (event) => {
+      this.inputs.method = (event.target as HTMLSelectElement).value as Method;
+      this.showInputs();
+    });
+    part("finish").addEventListener("click", () => this.finish());
+    part("none-here").addEventListener("click", () => this.leaveOut());
+  }
+
+  private choosesByLabel(): boolean {
+    return (this.host.state()?.image?.labels.length ?? 0) > 0;
+  }
+
+  private planeOfSlices(): PlaneName {
+    return this.host.state()?.image?.plane_of_slices ?? "axial";
+  }
+
+  private name(): string {
+    return part<HTMLInputElement>("name").value.trim();
+  }
+
+  private kind(): Kind {
+    return (document.querySelector<HTMLInputElement>('input[name="kind"]:checked')?.value ?? "inside") as Kind;
+  }
+
+  /** Chooses what the mouse sets, where the method takes it. */
+  private chooseKind(kind: Kind): void {
+    const input = document.querySelector<HTMLInputElement>(`input[name="kind"][value="${kind}"]`);
+    if (input !== null && input.closest("label")?.hidden !== true) input.checked = true;
+  }
+
+  /** A new image: nothing that was said is of it. */
+  begin(): void {
+    this.inputs.forget();
+    this.found = [];
+    part("outline-plane").textContent = this.planeOfSlices();
+    this.nameByLabel();
+    this.showInputs();
+  }
+
+  /** What lies in the planes. */
+  marks(): Marks {
+    const { points, byHand, draft, method } = this.inputs;
+    const isByContours = method === "contours";
+    return { points, found: isByContours ? this.found : [], byHand: isByContours ? byHand : [], draft, planeOfSlices: this.planeOfSlices() };
+  }
+
+  isDrawing(plane: PlaneName): boolean {
+    return this.kind() === "outline" && plane === this.planeOfSlices() && !this.choosesByLabel();
+  }
+
+  /** A point is set, or a corner of an outline. */
+  set(at_mm: Point, plane: PlaneName): void {
+    const cross = this.host.cross();
+    if (this.choosesByLabel() || cross === null) return;
+    const kind = this.kind();
+    if (kind !== "outline") {
+      this.inputs.points.push({ at_mm, kind });
+    } else if (plane === this.planeOfSlices()) {
+      const [first] = this.inputs.draft;
+      // In another slice another outline begins.
+      if (first !== undefined && !isOneSlice(plane, { ...cross, at_mm }, first)) this.inputs.draft = [];
+      this.inputs.draft.push(at_mm);
+    } else {
+      this.host.complain(`outlines are drawn in the ${this.planeOfSlices()} plane, along the slices of the image`);
+      return;
+    }
+    this.showInputs();
+  }
+
+  finish(): void {
+    this.host.complain(this.inputs.finish());
+    this.showInputs();
+  }
+
+  private leaveOut(): void {
+    const cross = this.host.cross();
+    if (cross !== null) this.inputs.leaveOut(cross.at_mm);
+    this.showInputs();
+  }
+
+  /** A key that nobody types. */
+  key(key: string): void {
+    const kind = KINDS[key];
+    const isByContours = this.inputs.method === "contours" && !this.choosesByLabel();
+    if (kind !== undefined) {
+      this.chooseKind(kind);
+    } else if (isByContours && key === "f") {
+      this.finish();
+    } else if (isByContours && key === "n") {
+      this.leaveOut();
+    } else if (isByContours && key === "backspace" && this.inputs.draft.length > 0) {
+      this.inputs.draft.pop();
+      this.host.showPlanes();
+    }
+  }
+
+  /** Shows what is said of the organ that is looked for. */
+  private showInputs(): void {
+    const { points, byHand, method } = this.inputs;
+    const removed = (list: unknown[], number: number) => () => {
+      list.splice(number, 1);
+      this.showInputs();
+    };
+    part("points").replaceChildren(
+      ...points.map(({ at_mm, kind }, number) => {
+        const words = `${kind} ${at_mm.map((x) => x.toFixed(1)).join(", ")} mm`;
+        const node = item(words, [{ text: "remove", name: `remove the point ${words}`, press: removed(points, number) }]);
+        node.className = kind;
+        return node;
+      }),
+    );
+    part("outlines").replaceChildren(
+      ...byHand.map((outline, number) => {
+        const words = outlineWords(outline, this.planeOfSlices());
+        return item(words, [
+          { text: "go", name: `go to ${words}`, press: () => this.goToSlice(outline.through_mm) },
+          { text: "remove", name: `remove ${words}`, press: removed(byHand, number) },
+        ]);
+      }),
+    );
+    part<HTMLSelectElement>("method").value = method;
+    for (const node of document.querySelectorAll<HTMLElement>("[data-method]")) node.hidden = node.dataset["method"] !== method;
+    const chosen = document.querySelector<HTMLInputElement>('input[name="kind"]:checked');
+    if (chosen?.closest("label")?.hidden === true) this.chooseKind("inside");
+    this.host.showPlanes();
+  }
+
+  private goToSlice(of_mm: Point): void {
+    const at_mm = this.host.cross()?.at_mm;
+    if (at_mm === undefined) return;
+    const axis = normalAxis(this.planeOfSlices());
+    this.host.go(at_mm.map((x, i) => (i === axis ? of_mm[axis]! : x)) as unknown as Point);
+  }
+
+  /** The name of a label is that of the organ, unless another one is written. */
+  private nameByLabel(): void {
+    const label = part<HTMLSelectElement>("label").selectedOptions[0]?.text ?? "organ";
+    part<HTMLInputElement>("name").value = this.choosesByLabel() ? label : "liver";
+  }
+
+  /** Goes on with an organ that was found, or begins with another one. */
+  private lookFor(name: string): void {
+    part<HTMLInputElement>("name").value = name;
+    this.inputs.recall(name);
+    this.showInputs();
+    this.show();
+  }
+
+  private lookForAnother(): void {
+    const taken = new Set(this.host.state()?.organs.map(({ name }) => name));
+    let number = taken.size + 1;
+    while (taken.has(`organ ${number}`)) number++;
+    this.lookFor(`organ ${number}`);
+    part<HTMLInputElement>("name").select();
+  }
+
+  /** Shows what was found by now. */
+  show(): void {
+    const organs = this.host.state()?.organs ?? [];
+    part("by-label").hidden = !this.choosesByLabel();
+    part("by-points").hidden = this.choosesByLabel();
+    part("find").textContent = this.choosesByLabel() ? "Take this label" : "Find the organ";
+    part("organs").replaceChildren(
+      ...organs.map(({ name, volume_ml }) =>
+        item(`${name}: ${volume_ml.toFixed(1)} ml`, [
+          { text: "change", name: `change ${name}`, press: () => this.lookFor(name) },
+          { text: "remove", name: `remove ${name}`, press: () => void this.host.step("remove", { name }) },
+        ]),
+      ),
+    );
+    part("another").hidden = organs.length === 0;
+    const organ = organs.find(({ name }) => name === this.name());
+    const words: string[] = organ === undefined ? [] : [`${organ.volume_ml.toFixed(1)} ml`];
+    if (organ !== undefined && organ.cut_off_at.length > 0) words.push(`cut off at the border of the image: ${organ.cut_off_at.join(", ")}`);
+    if (organ !== undefined && organ.not_at_rest_mm.length > 0) {
+      const axis = normalAxis(this.planeOfSlices());
+      words.push(`contours did not come to rest at ${organ.not_at_rest_mm.map((p) => p[axis]!.toFixed(1)).join(", ")} mm: look at them`);
+    }
+    part("organ-found").textContent = words.join("; ");
+    void this.showFound(organ?.n_outlines ?? 0);
+  }
+
+  /** Fetches the contours that the organ was made from. */
+  private async showFound(n_outlines: number): Promise<void> {
+    const name = this.name();
+    let found: readonly Outline[] = [];
+    try {
+      if (n_outlines > 0) found = await fetchOutlines(name);
+    } catch (error) {
+      this.host.complain(error instanceof Error ? error.message : String(error));
+    }
+    // Meanwhile another organ may be looked for.
+    if (name === this.name()) this.found = found;
+    this.host.showPlanes();
+  }
+}

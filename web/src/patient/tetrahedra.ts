@@ -1,0 +1,122 @@
+/** The tetrahedra: what came out, turned by mouse or arrows, cut open, coloured by organ or by quality; and the organs' tissues. */
+import { facts, item, named, options, part } from "./dom";
+import { Loader } from "./loader";
+import { pictureAddress, type MeshLook, type MeshSummary, type PatientState } from "./state";
+
+/** Share by which the volume of an organ may be off. */
+const WELL_MET = 0.015;
+/** Turn of a pixel that is dragged, and of an arrow [degrees]. */
+const DEGREES_A_PIXEL = 0.5;
+const DEGREES_A_KEY = 15;
+/** Seen from above or below at most [degrees]. */
+const STEEPEST = 85;
+const ARROWS: Readonly<Record<string, readonly [number, number]>> = {
+  ArrowLeft: [-1, 0],
+  ArrowRight: [1, 0],
+  ArrowUp: [0, -1],
+  ArrowDown: [0, 1],
+};
+
+export class TetrahedraSection {
+  private readonly loader = new Loader("");
+  private azimuth_deg = 20;
+  private elevation_deg = 16;
+  private version = 0;
+
+  constructor() {
+    const view = part("picture");
+    view.append(this.loader.picture);
+    view.addEventListener("pointerdown", (event) => view.setPointerCapture(event.pointerId));
+    view.addEventListener("pointermove", (event) => {
+      if (event.buttons === 1) this.turn(DEGREES_A_PIXEL * event.movementX, DEGREES_A_PIXEL * event.movementY);
+    });
+    view.addEventListener("keydown", (event) => {
+      const by = ARROWS[event.key];
+      if (by === undefined || event.ctrlKey || event.altKey || event.metaKey) return;
+      event.preventDefault();
+      this.turn(DEGREES_A_KEY * by[0], DEGREES_A_KEY * by[1]);
+    });
+    for (const id of ["colours", "cut", "share"]) part(id).addEventListener("input", () => this.load());
+  }
+
+  private turn(right_deg: number, down_deg: number): void {
+    this.azimuth_deg = (this.azimuth_deg + right_deg) % 360;
+    this.elevation_deg = Math.min(Math.max(this.elevation_deg + down_deg, -STEEPEST), STEEPEST);
+    this.load();
+  }
+
+  private load(): void {
+    const look: MeshLook = {
+      azimuth_deg: this.azimuth_deg,
+      elevation_deg: this.elevation_deg,
+      cut: part<HTMLSelectElement>("cut").value as MeshLook["cut"],
+      share: part<HTMLInputElement>("share").valueAsNumber,
+      colours: part<HTMLSelectElement>("colours").value as MeshLook["colours"],
+    };
+    part("quality").hidden = look.colours !== "quality";
+    this.loader.load(pictureAddress(look, this.version));
+  }
+
+  /** Shows the tetrahedra as they are by now. */
+  show({ mesh, version, offers }: PatientState): void {
+    part("mesh-figure").hidden = mesh === null;
+    if (version === this.version) return;
+    this.version = version;
+    if (mesh === null) {
+      facts(part("mesh-found"), []);
+      return;
+    }
+    part("picture-caption").textContent = `${mesh.tetrahedra} tetrahedra`;
+    showFacts(mesh);
+    showTissues(mesh, offers.tissues);
+    const steps = offers.quality.map(({ from_deg, colour }, at) => {
+      const next = offers.quality[at + 1]?.from_deg;
+      const range = next === undefined ? `from ${from_deg}` : `${from_deg} to ${next}`;
+      const node = item(`${range} degrees: ${mesh.n_of_quality[at] ?? 0}`, []);
+      node.style.setProperty("--colour", `rgb(${colour.join(" ")})`);
+      return node;
+    });
+    part("quality").replaceChildren(...steps);
+    this.load();
+  }
+
+  /** The tissue of each organ. */
+  tissues(): string[] {
+    return [...document.querySelectorAll<HTMLSelectElement>("#tissues select")].map((select) => select.value);
+  }
+}
+
+function showFacts(mesh: MeshSummary): void {
+  const volumes = mesh.organs.map(({ name, tetrahedra, volume_ml, volume_error }): readonly [string, string] => {
+    const isThin = Math.abs(volume_error) > WELL_MET;
+    const size = `${volume_ml.toFixed(1)} ml, ${(100 * volume_error).toFixed(2)} % off the voxels${isThin ? ": too thin for so few tetrahedra, take more" : ""}`;
+    return [name, mesh.organs.length > 1 ? `${tetrahedra} tetrahedra, ${size}` : size];
+  });
+  const crumbs: (readonly [string, string])[] = mesh.crumbs > 0 ? [["left out", `${mesh.crumbs} loose pieces of thin places`]] : [];
+  facts(part("mesh-found"), [
+    ["tetrahedra", `${mesh.tetrahedra}, ${mesh.nodes} nodes`],
+    ...volumes,
+    ["bodies", mesh.bodies === 1 ? "1" : `${mesh.bodies}: organs that do not touch move freely`],
+    ["dihedral angles", `${mesh.dihedral_deg[0].toFixed(1)} to ${mesh.dihedral_deg[1].toFixed(1)} degrees`],
+    ["mean edge", `${mesh.mean_edge_mm.toFixed(1)} mm`],
+    ["thin places", String(mesh.thin_places)],
+    ...crumbs,
+  ]);
+}
+
+/** A tissue for each organ; that of its name, where there is one. */
+function showTissues(mesh: MeshSummary, tissues: readonly string[]): void {
+  const names = mesh.organs.map(({ name }) => name);
+  const shown = [...document.querySelectorAll<HTMLElement>("#tissues label")].map((label) => label.dataset["organ"]);
+  if (shown.join("\n") === names.join("\n")) return;
+  part("tissues").replaceChildren(
+    ...names.map((name) => {
+      const [label, select] = [document.createElement("label"), document.createElement("select")];
+      label.dataset["organ"] = name;
+      const own = name.toLowerCase().replaceAll(" ", "_");
+      options(select, named(tissues), tissues.includes(own) ? own : "liver");
+      label.append(`Tissue of ${name} `, select);
+      return label;
+    }),
+  );
+}

@@ -4,11 +4,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use glisson::image::LabelMap;
+use glisson::math::DVec3;
 use glisson::mesh::files::{FieldPlace, FieldValues, LABEL_FIELD, VtuField, write_vtu_with};
-use glisson::mesh::organs::{OrganMesh, OrganMeshParams, OrganSize, mesh_organs};
+use glisson::mesh::organs::{FinerBall, Grading, OrganMesh, OrganMeshParams, OrganSize, mesh_organs};
 use glisson::surface::files::write_surface;
 
 use super::image_input::read_with_notes;
+use super::numbers::numbers;
 use super::output::{check_extension, make_folder_of};
 use super::progress::with_bar;
 
@@ -22,6 +24,7 @@ const DEFAULT_TETRAHEDRA: usize = 20_000;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   glisson mesh-organs out/phantom/labels.nii.gz --label liver --label liver_tumour --label gall_bladder -o out/organs.vtu
+  glisson mesh-organs out/phantom/labels.nii.gz --label liver --label liver_tumour --tetrahedra 6300 --least-tetrahedra 300
   glisson mesh-organs labels.nii.gz --label 5 --label 7 --cell-mm 5 --surfaces out/surfaces -o out/organs.vtu")]
 pub(crate) struct Args {
     /// Label map (.nii, .nii.gz, .nrrd, .seg.nrrd, .mha, .mhd, .inr, .dcm or a folder of masks)
@@ -38,6 +41,15 @@ pub(crate) struct Args {
     /// Cell of the lattice [mm]: inner edges are 0.92 of it, those at borders about half as long
     #[arg(long, value_name = "MM")]
     cell_mm: Option<f64>,
+    /// Tetrahedra that each organ gets at least, about: cells are smaller in small organs, and grow around them
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    least_tetrahedra: usize,
+    /// By how much cells at the surface of all organs together are smaller than within (1 to 16)
+    #[arg(long, value_name = "FACTOR")]
+    finer_at_surface: Option<f64>,
+    /// A ball in which cells are smaller: centre and radius in mm (LPS), and by how much (1 to 16); give it again for each
+    #[arg(long, value_name = "X,Y,Z,R,FACTOR", value_parser = numbers::<5>, allow_hyphen_values = true)]
+    finer_ball: Vec<[f64; 5]>,
     /// Write the closed surface of each organ into this folder, too (.stl)
     #[arg(long, value_name = "FOLDER")]
     surfaces: Option<PathBuf>,
@@ -66,8 +78,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         Some(cell_mm) => OrganSize::CellM(1e-3 * cell_mm),
         None => OrganSize::Tetrahedra(args.tetrahedra.unwrap_or(DEFAULT_TETRAHEDRA)),
     };
-    let organs = with_bar("filling", || mesh_organs(&map, &OrganMeshParams { labels, size }))
-        .with_context(in_input)?;
+    let balls = args.finer_ball.iter().map(|&[x, y, z, radius, factor]| FinerBall {
+        center_m: 1e-3 * DVec3::new(x, y, z),
+        radius_m: 1e-3 * radius,
+        factor,
+    });
+    let grading = Grading {
+        least_tetrahedra: args.least_tetrahedra,
+        finer_at_surface: args.finer_at_surface,
+        balls: balls.collect(),
+    };
+    let params = OrganMeshParams { labels, size, grading };
+    let organs = with_bar("filling", || mesh_organs(&map, &params)).with_context(in_input)?;
     make_folder_of(&args.output)?;
     let label_of: Vec<i32> = organs.label_of.iter().map(|&label| i32::from(label)).collect();
     let field =

@@ -2,6 +2,7 @@
 
 mod image_input;
 mod output;
+mod numbers;
 mod progress;
 mod phantom;
 mod import;

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
+use super::numbers::numbers;
 use anyhow::{Context, bail};
 use glisson::material::LinearElastic;
 use glisson::material::tissues::Tissue;
@@ -74,19 +75,6 @@ pub(crate) struct Args {
     /// File to write.
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
-}
-
-/// `N` finite numbers separated by commas.
-fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
-    let found: Vec<f64> = text
-        .split(',')
-        .map(|field| match field.trim().parse::<f64>() {
-            Ok(value) if value.is_finite() => Ok(value),
-            _ => Err(format!("`{}` is not a finite number", field.trim())),
-        })
-        .collect::<Result<_, _>>()?;
-    let n = found.len();
-    found.try_into().map_err(|_| format!("{n} numbers, expected {N} separated by commas"))
 }
 
 /// Density of a given material; a static response does not depend on it.

@@ -3,10 +3,11 @@
 use glisson_mesh::image::phantom::{self, PhantomParams, Tissue};
 use glisson_mesh::image::{LabelMap, VoxelGrid};
 use glisson_mesh::math::{DMat3, DVec3, SeededRandom};
+use glisson_mesh::mesh::TetId;
 use glisson_mesh::mesh::faults::find_faults;
 use glisson_mesh::mesh::organs::{
-    MAX_ORGAN_DIHEDRAL_DEG, MIN_ORGAN_DIHEDRAL_DEG, ORGAN_VOLUME_TOLERANCE, OrganMesh, OrganMeshError,
-    OrganMeshParams, OrganSize, mesh_organs,
+    FinerBall, GRADED_DIHEDRAL_DEG, Grading, MAX_ORGAN_DIHEDRAL_DEG, MIN_ORGAN_DIHEDRAL_DEG,
+    ORGAN_VOLUME_TOLERANCE, OrganMesh, OrganMeshError, OrganMeshParams, OrganSize, mesh_organs,
 };
 use glisson_mesh::mesh::quality::{MeshQuality, SurfaceShape};
 use glisson_mesh::mesh::topology::Topology;
@@ -43,7 +44,8 @@ fn middle_m(map: &LabelMap) -> DVec3 {
 }
 
 fn meshed(map: &LabelMap, cell_m: f64) -> OrganMesh {
-    let params = OrganMeshParams { labels: Vec::new(), size: OrganSize::CellM(cell_m) };
+    let params =
+        OrganMeshParams { labels: Vec::new(), size: OrganSize::CellM(cell_m), grading: Grading::default() };
     mesh_organs(map, &params).unwrap()
 }
 
@@ -64,12 +66,16 @@ fn triangles_of(organs: &OrganMesh, label: u16, other: u16) -> BTreeSet<[u32; 3]
 
 /// Everything that a mesh of organs promises whatever the labels are.
 fn assert_is_sound(organs: &OrganMesh) {
+    assert_is_sound_within(organs, [MIN_ORGAN_DIHEDRAL_DEG, MAX_ORGAN_DIHEDRAL_DEG]);
+}
+
+fn assert_is_sound_within(organs: &OrganMesh, [smallest_deg, largest_deg]: [f64; 2]) {
     let (mesh, report) = (&organs.mesh, &organs.report);
     assert_eq!(find_faults(mesh).lines(), Vec::<String>::new());
     let quality = MeshQuality::of(mesh);
     assert!(quality.min_tetrahedron_volume_m3 > 0.0);
-    assert!(quality.min_dihedral_deg >= MIN_ORGAN_DIHEDRAL_DEG, "{}", quality.min_dihedral_deg);
-    assert!(quality.max_dihedral_deg <= MAX_ORGAN_DIHEDRAL_DEG, "{}", quality.max_dihedral_deg);
+    assert!(quality.min_dihedral_deg >= smallest_deg, "{}", quality.min_dihedral_deg);
+    assert!(quality.max_dihedral_deg <= largest_deg, "{}", quality.max_dihedral_deg);
     let told = [report.min_dihedral_deg, report.max_dihedral_deg];
     assert_eq!(told, [quality.min_dihedral_deg, quality.max_dihedral_deg]);
     assert_eq!([report.n_nodes, report.n_tets], [quality.nodes, quality.tetrahedra]);
@@ -119,6 +125,53 @@ fn assert_volumes_hold(organs: &OrganMesh, labels: &[u16]) {
 }
 
 #[test]
+fn small_organs_get_their_tetrahedra_in_a_coarse_mesh() {
+    let patient = phantom::generate(&PhantomParams { voxel_m: 2.5e-3, ..PhantomParams::default() });
+    let labels = [Tissue::Liver, Tissue::LiverTumour, Tissue::GallBladder].map(Tissue::label).to_vec();
+    let meshed = |grading: Grading| {
+        let size = OrganSize::Tetrahedra(6_300);
+        let organs =
+            mesh_organs(&patient.labels, &OrganMeshParams { labels: labels.clone(), size, grading }).unwrap();
+        assert_is_sound_within(&organs, GRADED_DIHEDRAL_DEG);
+        assert!((organs.report.n_tets as f64 / 6_300.0 - 1.0).abs() < 0.05, "{}", organs.report.n_tets);
+        organs
+    };
+    let of_tumour = |organs: &OrganMesh| {
+        let tumour = organs.report.labels.iter().find(|l| l.label == Tissue::LiverTumour.label()).unwrap();
+        (tumour.n_tets, tumour.volume_error())
+    };
+    // With even cells nothing would be left of the tumour.
+    let even = OrganMeshParams {
+        labels: labels.clone(),
+        size: OrganSize::Tetrahedra(6_300),
+        grading: Grading::default(),
+    };
+    let error = mesh_organs(&patient.labels, &even).unwrap_err();
+    assert!(matches!(error, OrganMeshError::Vanished { label: 2, .. }), "{error}");
+    let graded = meshed(Grading { least_tetrahedra: 300, ..Grading::default() });
+    let (n, _) = of_tumour(&graded);
+    assert!((240..900).contains(&n), "{n}");
+    assert_volumes_hold(&graded, &labels);
+
+    // A ball of small cells in the right lobe, and small cells at the surface: the mean size tells.
+    let mean_m3 = |organs: &OrganMesh, is_there: &dyn Fn(DVec3) -> bool| {
+        let volumes: Vec<f64> = (0..organs.mesh.tetrahedra.len())
+            .map(TetId::from_index)
+            .filter(|&t| is_there(organs.mesh.corners_m(t).iter().sum::<DVec3>() / 4.0))
+            .map(|t| organs.mesh.tet_volume_m3(t))
+            .collect();
+        volumes.iter().sum::<f64>() / volumes.len() as f64
+    };
+    let center_m = DVec3::new(-0.08, -0.02, 0.0);
+    let ball = FinerBall { center_m, radius_m: 0.015, factor: 2.0 };
+    let around_ball = meshed(Grading { balls: vec![ball], least_tetrahedra: 100, ..Grading::default() });
+    let in_ball = |p: DVec3| p.distance(center_m) < 0.012;
+    let beyond = |p: DVec3| p.distance(center_m) > 0.06;
+    let ratio = mean_m3(&around_ball, &beyond) / mean_m3(&around_ball, &in_ball);
+    assert!((4.0..10.0).contains(&ratio), "{ratio}");
+}
+
+#[test]
 fn the_phantoms_organs_share_their_interfaces() {
     let patient = phantom::generate(&PhantomParams { voxel_m: 2.5e-3, ..PhantomParams::default() });
     let tissues = [
@@ -131,7 +184,11 @@ fn the_phantoms_organs_share_their_interfaces() {
         Tissue::VenaCava,
     ];
     let labels = tissues.map(Tissue::label).to_vec();
-    let params = OrganMeshParams { labels: labels.clone(), size: OrganSize::Tetrahedra(40_000) };
+    let params = OrganMeshParams {
+        labels: labels.clone(),
+        size: OrganSize::Tetrahedra(40_000),
+        grading: Grading::default(),
+    };
     // The great vessels and the stomach reach the end of the image.
     let error = mesh_organs(&patient.labels, &params).unwrap_err();
     assert!(matches!(error, OrganMeshError::Border { label: 17, .. }), "{error}");
@@ -314,7 +371,8 @@ fn what_cannot_be_meshed_is_refused_with_the_figures() {
         painted([20; 3], 1e-3, |p| if p.distance(middle) < radius_m { label } else { 0 })
     };
     let refusal = |map: &LabelMap, labels: &[u16], size| {
-        mesh_organs(map, &OrganMeshParams { labels: labels.to_vec(), size }).unwrap_err()
+        mesh_organs(map, &OrganMeshParams { labels: labels.to_vec(), size, grading: Grading::default() })
+            .unwrap_err()
     };
     let cell = OrganSize::CellM(2e-3);
     assert_eq!(refusal(&ball(0.0, 1), &[], cell), OrganMeshError::NoLabels);
@@ -343,6 +401,17 @@ fn what_cannot_be_meshed_is_refused_with_the_figures() {
     for voxel in [[1, 1, 1], [398, 398, 398]] {
         let at = far.grid.index(voxel);
         far.labels[at] = 4;
+    }
+    for grading in [
+        Grading { finer_at_surface: Some(0.5), ..Grading::default() },
+        Grading { finer_at_surface: Some(f64::NAN), ..Grading::default() },
+        Grading {
+            balls: vec![FinerBall { center_m: DVec3::ZERO, radius_m: -1.0, factor: 2.0 }],
+            ..Grading::default()
+        },
+    ] {
+        let params = OrganMeshParams { labels: Vec::new(), size: cell, grading };
+        assert!(matches!(mesh_organs(&far, &params), Err(OrganMeshError::BadParameter { .. })), "{params:?}");
     }
     let error = refusal(&far, &[4], OrganSize::CellM(1e-3));
     assert!(matches!(error, OrganMeshError::LatticeTooLarge { .. }), "{error}");
@@ -385,7 +454,14 @@ proptest! {
     #[test]
     fn any_labels_give_a_sound_mesh_of_organs(
         seed in 0u64..1_000_000, n_labels in 1u64..7, cell_mm in 1.5..5.0f64, noise in 0.0..0.3f64,
+        least in prop_oneof![Just(0usize), 100usize..2000], surface in prop_oneof![Just(1.0), 1.0..3.0f64],
     ) {
+        let ball = FinerBall { center_m: DVec3::new(-0.02, 0.03, 0.06), radius_m: 2e-3, factor: surface };
+        let grading = Grading {
+            least_tetrahedra: least,
+            finer_at_surface: (surface > 1.0).then_some(surface),
+            balls: if surface > 2.0 { vec![ball] } else { Vec::new() },
+        };
         let mut map = random_map(seed, 24, n_labels);
         let mut random = SeededRandom::new(seed + 1);
         for v in 0..map.labels.len() {
@@ -394,9 +470,10 @@ proptest! {
                 map.labels[v] = (random.next_u64() % (n_labels + 1)) as u16;
             }
         }
-        let params = OrganMeshParams { labels: Vec::new(), size: OrganSize::CellM(1e-3 * cell_mm) };
+        let params = OrganMeshParams { labels: Vec::new(), size: OrganSize::CellM(1e-3 * cell_mm), grading };
         match mesh_organs(&map, &params) {
-            Ok(organs) => assert_is_sound(&organs),
+            Ok(organs) if params.grading == Grading::default() => assert_is_sound(&organs),
+            Ok(organs) => assert_is_sound_within(&organs, GRADED_DIHEDRAL_DEG),
             Err(OrganMeshError::Vanished { label, .. }) => prop_assert!(label as u64 <= n_labels),
             Err(OrganMeshError::NoLabels) => prop_assert!(map.present().is_empty()),
             Err(other) => panic!("{other}"),

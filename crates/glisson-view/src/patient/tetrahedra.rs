@@ -4,7 +4,7 @@ use anyhow::{Context, ensure};
 use glisson::image::LabelMap;
 use glisson::image::labels::{mask_volume_m3, sides_at_border};
 use glisson::mesh::generate::{MeshParams, WantedSize, generate};
-use glisson::mesh::organs::{OrganMesh, OrganMeshParams, OrganSize, mesh_organs};
+use glisson::mesh::organs::{Grading, OrganMesh, OrganMeshParams, OrganSize, mesh_organs};
 use glisson::mesh::quality::{MeshQuality, dihedral_cosine_range};
 use glisson::mesh::topology::{Through, Topology};
 use glisson::mesh::{NodeId, TetId, TetMesh};
@@ -15,6 +15,8 @@ use serde_json::{Value, json};
 
 /// Tetrahedra: least, what is offered, most.
 pub(super) const TETRAHEDRA: [usize; 3] = [500, 6_000, 200_000];
+/// Tetrahedra that each of several organs gets at least, about: enough to keep the volume of a round tumour. A choice.
+const LEAST_OF_EACH: usize = 300;
 /// Share of each of its organs that a piece holds at least; smaller ones are crumbs of thin places, and are left out. A choice.
 const LEAST_SHARE: f64 = 0.02;
 
@@ -91,7 +93,11 @@ impl Meshed {
     /// Several: one mesh that shares the faces between them.
     fn of_several(map: &LabelMap, names: Vec<String>, n_tets: usize) -> anyhow::Result<Self> {
         let labels: Vec<u16> = map.names.iter().map(|(label, _)| *label).collect();
-        let params = OrganMeshParams { labels, size: OrganSize::Tetrahedra(n_tets) };
+        let params = OrganMeshParams {
+            labels,
+            size: OrganSize::Tetrahedra(n_tets),
+            grading: Grading { least_tetrahedra: LEAST_OF_EACH, ..Grading::default() },
+        };
         let OrganMesh { mesh, label_of, report, .. } =
             mesh_organs(map, &params).context("filling the organs with tetrahedra")?;
         let voxels_m3: Vec<f64> = report.labels.iter().map(|organ| organ.voxel_volume_m3).collect();

@@ -10,6 +10,8 @@ pub(super) const NO_REGION: u16 = u16::MAX;
 pub(super) struct Complex {
     /// Nodes [m].
     pub(super) positions_m: Vec<DVec3>,
+    /// Size of the cells around each node [m].
+    pub(super) cell_m: Vec<f64>,
     /// Regions that meet in each node, ascending, filled up with [`NO_REGION`]: one inside a region, two on an interface,
     /// three on a line in which interfaces meet, four in a point.
     pub(super) node_regions: Vec<[u16; 4]>,

@@ -8,6 +8,7 @@
 //! Whitaker, Lattice Cleaving, IEEE Transactions on Visualization and Computer Graphics 20(2), 2014,
 //! doi 10.1109/TVCG.2013.115).
 
+use super::cell_size::CellSize;
 use super::regions::RegionGrid;
 use crate::math::DVec3;
 
@@ -27,6 +28,8 @@ pub(super) struct Shares {
     pub(super) value: Vec<f64>,
     /// One a region [1/m].
     pub(super) gradient: Vec<DVec3>,
+    /// Slope of the difference of two shares across a flat border here [1/m]; along the voxels' longest axis if they are not cubes.
+    pub(super) flat_slope: f64,
     taps: [Taps; 3],
 }
 
@@ -43,39 +46,60 @@ struct Taps {
 #[derive(Clone, Debug)]
 pub(super) struct ShareField<'a> {
     regions: &'a RegionGrid,
-    scale_voxels: DVec3,
+    size: CellSize<'a>,
+    /// With the largest cells.
+    scale: Scale,
+}
+
+/// How smooth the shares are.
+#[derive(Clone, Copy, Debug)]
+struct Scale {
+    voxels: DVec3,
     flat_slope: f64,
 }
 
 impl<'a> ShareField<'a> {
-    /// Shares smooth enough for cells of `cell_m`.
-    pub(super) fn new(regions: &'a RegionGrid, cell_m: f64) -> Self {
-        let spacing_m = regions.grid().spacing_m;
-        let scale_voxels = (SCALE_OVER_CELL * cell_m / spacing_m).max(DVec3::splat(SMALLEST_SCALE_VOXELS));
-        let scale_m = (scale_voxels * spacing_m).max_element();
-        Self { regions, scale_voxels, flat_slope: FLAT_SLOPE_TIMES_SCALE / scale_m }
+    /// Shares smooth enough for cells of this size.
+    pub(super) fn new(regions: &'a RegionGrid, size: CellSize<'a>) -> Self {
+        Self { regions, size, scale: Scale::new(regions, size.largest_m()) }
     }
 
-    /// Slope of the difference of two shares across a flat border [1/m]; along the voxels' longest axis if they are not cubes.
-    pub(super) fn flat_slope(&self) -> f64 {
-        self.flat_slope
+    fn scale_at(&self, position_m: DVec3) -> Scale {
+        if self.size.is_even() { self.scale } else { Scale::new(self.regions, self.size.at_m(position_m)) }
+    }
+
+    /// Slope of the difference of two shares across a flat border where cells are largest [1/m].
+    pub(super) fn least_flat_slope(&self) -> f64 {
+        self.scale.flat_slope
+    }
+
+    /// The same at a place.
+    pub(super) fn flat_slope_at(&self, position_m: DVec3) -> f64 {
+        self.scale_at(position_m).flat_slope
     }
 
     /// Room for the shares at a place.
     pub(super) fn shares(&self) -> Shares {
         let n = self.regions.n_regions() + 1;
-        Shares { value: vec![0.0; n], gradient: vec![DVec3::ZERO; n], taps: Default::default() }
+        Shares {
+            value: vec![0.0; n],
+            gradient: vec![DVec3::ZERO; n],
+            flat_slope: self.scale.flat_slope,
+            taps: Default::default(),
+        }
     }
 
     /// Shares and gradients at `position_m`.
     pub(super) fn sample_into(&self, position_m: DVec3, shares: &mut Shares) {
         let grid = self.regions.grid();
         let at = grid.voxel_at(position_m);
-        let Shares { value, gradient, taps } = shares;
+        let scale = self.scale_at(position_m);
+        let Shares { value, gradient, flat_slope, taps } = shares;
+        *flat_slope = scale.flat_slope;
         value.fill(0.0);
         gradient.fill(DVec3::ZERO);
         for axis in 0..3 {
-            taps[axis].place(at[axis], self.scale_voxels[axis], grid.dims[axis]);
+            taps[axis].place(at[axis], scale.voxels[axis], grid.dims[axis]);
         }
         let [along_i, along_j, along_k] = &*taps;
         for (k, (&w_k, &s_k)) in (along_k.first..).zip(along_k.weight.iter().zip(&along_k.slope)) {
@@ -106,6 +130,14 @@ impl<'a> ShareField<'a> {
             outside.1 -= *g;
         }
         (value[0], gradient[0]) = outside;
+    }
+}
+
+impl Scale {
+    fn new(regions: &RegionGrid, cell_m: f64) -> Self {
+        let spacing_m = regions.grid().spacing_m;
+        let voxels = (SCALE_OVER_CELL * cell_m / spacing_m).max(DVec3::splat(SMALLEST_SCALE_VOXELS));
+        Self { voxels, flat_slope: FLAT_SLOPE_TIMES_SCALE / (voxels * spacing_m).max_element() }
     }
 }
 

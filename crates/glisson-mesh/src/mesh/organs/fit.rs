@@ -54,7 +54,6 @@ pub(super) struct Fit<'a> {
     field: &'a ShareField<'a>,
     levels: Levels,
     stars: Stars,
-    cell_m: f64,
     /// Nodes on borders.
     border_nodes: Vec<u32>,
     /// Nodes within regions.
@@ -71,13 +70,13 @@ struct Border {
 }
 
 impl<'a> Fit<'a> {
-    pub(super) fn new(complex: Complex, field: &'a ShareField<'a>, levels: Levels, cell_m: f64) -> Self {
+    pub(super) fn new(complex: Complex, field: &'a ShareField<'a>, levels: Levels) -> Self {
         let n_nodes = complex.positions_m.len();
         let (border_nodes, inner_nodes) =
             (0..n_nodes as u32).partition(|&n| complex.n_regions_at(n as usize) > 1);
         let stars = Stars::of(n_nodes, &complex.tets);
         let first_m = complex.positions_m.clone();
-        Self { complex, field, levels, stars, cell_m, border_nodes, inner_nodes, first_m }
+        Self { complex, field, levels, stars, border_nodes, inner_nodes, first_m }
     }
 
     /// Changes the levels towards the volumes `wanted_m3` (from region 1 on).
@@ -110,7 +109,7 @@ impl<'a> Fit<'a> {
         let across_m = -(inverse * residual);
         let along_m = self.middle_of_neighbours_m(node) - at_m;
         let along_m = ALONG * (along_m - inverse * (normal_matrix * along_m));
-        let longest_m = LONGEST_STEP_OVER_CELL * self.cell_m;
+        let longest_m = LONGEST_STEP_OVER_CELL * self.complex.cell_m[node];
         let step_m = across_m.clamp_length_max(longest_m) + along_m.clamp_length_max(longest_m);
         if step_m.is_finite() { step_m } else { DVec3::ZERO }
     }
@@ -118,7 +117,7 @@ impl<'a> Fit<'a> {
     /// The border at a node.
     fn border(&self, node: usize, shares: &mut Shares) -> Border {
         self.field.sample_into(self.complex.positions_m[node], shares);
-        let damping = DAMPING * self.field.flat_slope() * self.field.flat_slope();
+        let damping = DAMPING * shares.flat_slope * shares.flat_slope;
         let (normal_matrix, residual) = self.border_system(node, shares);
         let inverse = (normal_matrix + DMat3::from_diagonal(DVec3::splat(damping))).inverse();
         Border { inverse, normal_matrix, residual }
@@ -173,7 +172,7 @@ impl<'a> Fit<'a> {
 
     fn move_border_nodes(&mut self, wishes: &[DVec3]) {
         let guard = libm::cos(GUARD_DEG.to_radians());
-        let shape = StarShape { stars: &self.stars, cell_m: self.cell_m };
+        let shape = StarShape { stars: &self.stars };
         for (&node, wish_m) in self.border_nodes.iter().zip(wishes) {
             let node = node as usize;
             let at_m = self.complex.positions_m[node];
@@ -190,7 +189,7 @@ impl<'a> Fit<'a> {
 
     fn improve_inner_nodes(&mut self) {
         let good = libm::cos(GOOD_DEG.to_radians());
-        let shape = StarShape { stars: &self.stars, cell_m: self.cell_m };
+        let shape = StarShape { stars: &self.stars };
         for &node in &self.inner_nodes {
             let node = node as usize;
             let at_m = self.complex.positions_m[node];
@@ -200,9 +199,9 @@ impl<'a> Fit<'a> {
                 continue;
             }
             let mut best_m = at_m;
-            let away = self.away_from_opposite_face(tet, node) * self.cell_m;
+            let away = self.away_from_opposite_face(tet, node) * self.complex.cell_m[node];
             let to_middle = self.middle_of_neighbours_m(node) - at_m;
-            let range_m = OUTSIDE_RANGE_OVER_CELL * self.cell_m;
+            let range_m = OUTSIDE_RANGE_OVER_CELL * self.complex.cell_m[node];
             for step_m in [to_middle, 0.2 * away, 0.06 * away, 0.02 * away] {
                 let to_m = at_m + step_m;
                 if is_outside && to_m.distance(self.first_m[node]) > range_m {
@@ -224,7 +223,7 @@ impl<'a> Fit<'a> {
         for at in 0..self.border_nodes.len() {
             let node = self.border_nodes[at] as usize;
             let at_m = self.complex.positions_m[node];
-            let shape = StarShape { stars: &self.stars, cell_m: self.cell_m };
+            let shape = StarShape { stars: &self.stars };
             let (mut now, tet) = shape.worst_at(&self.complex, node, at_m);
             if now < bearable {
                 continue;
@@ -234,7 +233,7 @@ impl<'a> Fit<'a> {
             let along = (away - border.inverse * (border.normal_matrix * away)).normalize_or_zero();
             let mut best_m = at_m;
             for part in [0.12, 0.04, -0.04, 0.013] {
-                let to_m = at_m + part * self.cell_m * along;
+                let to_m = at_m + part * self.complex.cell_m[node] * along;
                 let (then, _) = shape.worst_at(&self.complex, node, to_m);
                 if then < now {
                     (now, best_m) = (then, to_m);

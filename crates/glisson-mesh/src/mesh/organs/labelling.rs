@@ -1,5 +1,7 @@
 //! Regions of the nodes of a body-centred cubic lattice over all organs.
 
+use super::background::Background;
+use super::cell_size::CellSize;
 use super::error::OrganMeshError;
 use super::field::ShareField;
 use super::levels::LARGEST_LEVEL;
@@ -35,7 +37,7 @@ const LARGEST_BALANCE_CHANGE: f64 = 0.05;
 /// The lattice and the region of each of its nodes; the border nodes are outside.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Labelling {
-    pub(super) lattice: Lattice,
+    pub(super) lattice: Background,
     pub(super) regions: Vec<u16>,
     /// Level of each region, 0 first, with which the shares were compared.
     pub(super) levels: Vec<f64>,
@@ -77,9 +79,10 @@ impl Labelling {
     pub(super) fn new(
         regions: &RegionGrid,
         field: &ShareField<'_>,
-        cell_m: f64,
+        size: &CellSize<'_>,
     ) -> Result<Self, OrganMeshError> {
-        let lattice = lattice_over(regions, cell_m)?;
+        let cell_m = size.largest_m();
+        let lattice = Background::new(lattice_over(regions, cell_m)?, size);
         let n_regions = regions.n_regions();
         let n_nodes = lattice.n_nodes();
         let chunks: Vec<Chunk> = (0..n_nodes.div_ceil(CHUNK_NODES))
@@ -97,7 +100,7 @@ impl Labelling {
         }
         let node_volume_m3 = 0.5 * cell_m * cell_m * cell_m;
         let wanted: Vec<f64> = regions.volumes_m3().iter().map(|v| v / node_volume_m3).collect();
-        let levels = balanced_levels(&mut of_nodes, &mixed, &wanted);
+        let levels = balanced_levels(&mut of_nodes, &mixed, &wanted, &lattice);
         let mut labelling = Self { lattice, regions: of_nodes, levels, n_crumb_nodes: 0 };
         labelling.remove_crumbs(n_regions);
         Ok(labelling)
@@ -165,7 +168,7 @@ impl Labelling {
             })
             .collect();
         let crumb_nodes: Vec<usize> =
-            (0..n).filter(|&n| is_crumb[n] && self.lattice.is_interior(n, 1)).collect();
+            (0..n).filter(|&n| is_crumb[n] && self.lattice.is_interior(n)).collect();
         // Crumbs do not vote, and nothing else changes.
         let mut votes = vec![0usize; n_regions + 1];
         for &node in &crumb_nodes {
@@ -196,12 +199,12 @@ struct MixedNode {
 }
 
 impl Chunk {
-    fn sampled(nodes: Range<usize>, lattice: &Lattice, field: &ShareField<'_>) -> Self {
+    fn sampled(nodes: Range<usize>, lattice: &Background, field: &ShareField<'_>) -> Self {
         let mut chunk = Self { regions: Vec::with_capacity(nodes.len()), mixed: Vec::new() };
         let mut shares = field.shares();
         let mut found: Vec<(u16, f32)> = Vec::new();
         for node in nodes {
-            if !lattice.is_interior(node, 1) {
+            if !lattice.is_interior(node) {
                 chunk.regions.push(0);
                 continue;
             }
@@ -250,8 +253,13 @@ impl MixedNode {
 /// Levels of all regions (0 for the outside) with which `wanted` nodes (from region 1 on) come to each; gives the mixed nodes
 /// their regions.
 ///
-/// Newton's method region by region, with the number of nodes that change for a small change of the level as derivative.
-fn balanced_levels(of_nodes: &mut [u16], mixed: &[MixedNode], wanted: &[f64]) -> Vec<f64> {
+/// Nodes count by their volume. Newton's method region by region, with the number of nodes that change for a small change of the level as derivative.
+fn balanced_levels(
+    of_nodes: &mut [u16],
+    mixed: &[MixedNode],
+    wanted: &[f64],
+    lattice: &Background,
+) -> Vec<f64> {
     let n = wanted.len() + 1;
     let mut levels = vec![0.0; n];
     for step in 0..=N_BALANCE_STEPS {
@@ -262,15 +270,15 @@ fn balanced_levels(of_nodes: &mut [u16], mixed: &[MixedNode], wanted: &[f64]) ->
             break;
         }
         let mut count = vec![0.0; n];
-        for &region in of_nodes.iter() {
-            count[usize::from(region)] += 1.0;
+        for (node, &region) in of_nodes.iter().enumerate() {
+            count[usize::from(region)] += lattice.weight(node);
         }
         let mut n_near = vec![0.0; n];
         for node in mixed {
             let (first, second, lead) = node.leader(&levels);
             if lead < NEAR {
-                n_near[usize::from(first)] += 1.0;
-                n_near[usize::from(second)] += 1.0;
+                n_near[usize::from(first)] += lattice.weight(node.node);
+                n_near[usize::from(second)] += lattice.weight(node.node);
             }
         }
         for region in 1..n {

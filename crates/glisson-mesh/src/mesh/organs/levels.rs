@@ -52,8 +52,8 @@ impl Levels {
         let n = wanted_m3.len();
         let volumes_m3 = complex.volumes_m3(n);
         let mut matrix = vec![0.0; n * n];
-        for (pair, area_m2) in areas_m2(complex, faces, n) {
-            let gain_m3 = area_m2 / field.flat_slope();
+        for (pair, area_m2) in areas_m2(complex, faces, field, n) {
+            let gain_m3 = area_m2 / field.least_flat_slope();
             let [a, b] = pair;
             for (row, column) in [(a, b), (b, a)] {
                 if row > 0 {
@@ -72,12 +72,20 @@ impl Levels {
     }
 }
 
-/// Area of each interface [m2], by its regions in ascending order.
-fn areas_m2(complex: &Complex, faces: &[InterfaceFace], n_regions: usize) -> Vec<([usize; 2], f64)> {
+/// Area of each interface [m2], by its regions in ascending order; where borders are steeper because cells are smaller, less of it.
+fn areas_m2(
+    complex: &Complex,
+    faces: &[InterfaceFace],
+    field: &ShareField<'_>,
+    n_regions: usize,
+) -> Vec<([usize; 2], f64)> {
     let n = n_regions + 1;
     let mut area_m2 = vec![0.0; n * n];
     for face in faces {
-        area_m2[usize::from(face.regions[0]) * n + usize::from(face.regions[1])] += face.area_m2(complex);
+        let [a, b, c] = face.corners_m(complex);
+        let less = field.least_flat_slope() / field.flat_slope_at((a + b + c) / 3.0);
+        area_m2[usize::from(face.regions[0]) * n + usize::from(face.regions[1])] +=
+            less * face.area_m2(complex);
     }
     let pairs = (0..n * n).map(|at| ([at / n, at % n], area_m2[at]));
     pairs.filter(|&(_, area_m2)| area_m2 > 0.0).collect()

@@ -3,7 +3,7 @@
 //! An organ with its vessels and tumours, or two organs that touch, share the nodes and faces of their interfaces: there is no
 //! gap and no overlap, and what is set free at an interface can be cut there. The steps:
 //! 1. the labels become smooth shares, which add up to 1 at every place (`field.rs`);
-//! 2. a body-centred cubic lattice is laid over all organs and each node gets the region with the largest share
+//! 2. a body-centred cubic lattice is laid over all organs, refined where smaller cells are wanted (`bisection.rs`), and each node gets the region with the largest share
 //!    (`labelling.rs`);
 //! 3. each lattice tetrahedron is cut between its corners of different regions (`stencils.rs`), which makes the border of every
 //!    organ, and that of all together, a closed manifold, whatever the labels are; all angles are at least 18 degrees then, but
@@ -22,6 +22,9 @@
 mod params;
 mod error;
 mod regions;
+mod cell_size;
+mod bisection;
+mod background;
 mod field;
 mod complex;
 mod stencils;
@@ -37,9 +40,12 @@ mod organ_mesh;
 
 pub use error::OrganMeshError;
 pub use organ_mesh::{OrganMesh, OrganSurface};
-pub use params::{MAX_ORGAN_TETRAHEDRA, MIN_ORGAN_TETRAHEDRA, OrganMeshParams, OrganSize};
+pub use params::{
+    FinerBall, Grading, MAX_FINER, MAX_ORGAN_TETRAHEDRA, MIN_ORGAN_TETRAHEDRA, OrganMeshParams, OrganSize,
+};
 pub use report::{LabelReport, OrganMeshReport};
 
+use self::cell_size::{CellSize, FinePlaces};
 use self::complex::Complex;
 use self::field::ShareField;
 use self::fit::Fit;
@@ -51,11 +57,14 @@ use super::{NodeId, TetMesh};
 use crate::image::LabelMap;
 use crate::progress::tell;
 
-/// Smallest dihedral angle [degrees] that a mesh of organs has.
+/// Smallest dihedral angle [degrees] that a mesh of organs has; for cells that are smaller in places see [`GRADED_DIHEDRAL_DEG`].
 pub const MIN_ORGAN_DIHEDRAL_DEG: f64 = 11.9;
 
-/// Largest dihedral angle [degrees] that a mesh of organs has.
+/// Largest dihedral angle [degrees] that a mesh of organs has; for cells that are smaller in places see [`GRADED_DIHEDRAL_DEG`].
 pub const MAX_ORGAN_DIHEDRAL_DEG: f64 = 160.5;
+
+/// Smallest and largest dihedral angle [degrees] that a mesh of organs has whose cells are smaller in places.
+pub const GRADED_DIHEDRAL_DEG: [f64; 2] = [10.8, 161.0];
 
 /// Largest relative difference of an organ's volume from that of its voxels, for organs most of which are at least
 /// [`RESOLVED_THICKNESS_CELLS`] thick.
@@ -85,11 +94,11 @@ const PROGRESS_BEFORE_SWEEPS: f64 = 0.1;
 /// # Example
 /// ```
 /// use glisson_mesh::image::phantom::{self, PhantomParams, Tissue};
-/// use glisson_mesh::mesh::organs::{OrganMeshParams, OrganSize, mesh_organs};
+/// use glisson_mesh::mesh::organs::{Grading, OrganMeshParams, OrganSize, mesh_organs};
 ///
 /// let patient = phantom::generate(&PhantomParams { voxel_m: 4e-3, ..PhantomParams::default() });
 /// let labels = vec![Tissue::Liver.label(), Tissue::GallBladder.label()];
-/// let params = OrganMeshParams { labels, size: OrganSize::CellM(0.012) };
+/// let params = OrganMeshParams { labels, size: OrganSize::CellM(0.012), grading: Grading::default() };
 /// let organs = mesh_organs(&patient.labels, &params)?;
 /// assert_eq!(organs.labels(), params.labels);
 /// let bed = organs.interface(Tissue::Liver.label(), Tissue::GallBladder.label());
@@ -98,13 +107,15 @@ const PROGRESS_BEFORE_SWEEPS: f64 = 0.1;
 /// ```
 pub fn mesh_organs(map: &LabelMap, params: &OrganMeshParams) -> Result<OrganMesh, OrganMeshError> {
     let regions = RegionGrid::new(map, &params.labels)?;
-    let Sized { cell_m, labelling } = sized(&regions, params.size)?;
-    let field = ShareField::new(&regions, cell_m);
+    check_grading(&params.grading)?;
+    let places = FinePlaces::new(&regions, &params.grading);
+    let Sized { cell_m, labelling } = sized(&regions, params.size, &places)?;
+    let field = ShareField::new(&regions, CellSize::new(cell_m, &places));
     let complex = stencils::cut(&labelling.lattice, &labelling.regions);
     let faces = interface_faces(&complex);
     tell(PROGRESS_BEFORE_SWEEPS);
     let wanted_m3 = regions.volumes_m3();
-    let mut fit = Fit::new(complex, &field, Levels::new(labelling.levels.clone()), cell_m);
+    let mut fit = Fit::new(complex, &field, Levels::new(labelling.levels.clone()));
     for sweep in 0..N_SWEEPS {
         if sweep >= N_FREE_SWEEPS {
             fit.correct_levels(&faces, &wanted_m3);
@@ -124,6 +135,22 @@ pub fn mesh_organs(map: &LabelMap, params: &OrganMeshParams) -> Result<OrganMesh
     };
     let label_of = tet_regions.into_iter().map(|region| regions.label(region)).collect();
     Ok(OrganMesh::new(mesh, label_of, report))
+}
+
+/// Refuses a grading that makes no sense.
+fn check_grading(grading: &Grading) -> Result<(), OrganMeshError> {
+    let wrong = |what, found: String, allowed| Err(OrganMeshError::BadParameter { what, found, allowed });
+    let factors = grading.finer_at_surface.into_iter().chain(grading.balls.iter().map(|ball| ball.factor));
+    if let Some(factor) = factors.into_iter().find(|factor| !(1.0..=MAX_FINER).contains(factor)) {
+        return wrong("by how much cells are finer", factor.to_string(), format!("1 to {MAX_FINER}"));
+    }
+    let is_ball =
+        |ball: &&FinerBall| ball.center_m.is_finite() && ball.radius_m.is_finite() && ball.radius_m >= 0.0;
+    if let Some(ball) = grading.balls.iter().find(|ball| !is_ball(ball)) {
+        let found = format!("one of radius {} m around {} m", ball.radius_m, ball.center_m);
+        return wrong("a ball of finer cells", found, "a finite one".into());
+    }
+    Ok(())
 }
 
 /// The tetrahedra of the regions alone, over their nodes, and the region of each.

@@ -134,7 +134,7 @@ pub(super) fn interface_distance_m(
         field.sample_into(position_m, shares);
         let [a, b] = regions.map(usize::from);
         let (psi, gradient) = shares.lead(a, b);
-        (psi / gradient.length().max(LEAST_SLOPE * field.flat_slope())).abs()
+        (psi / gradient.length().max(LEAST_SLOPE * shares.flat_slope)).abs()
     };
     let distances_m: Vec<f64> =
         places.par_iter().with_min_len(64).map_init(|| field.shares(), distance_m).collect();

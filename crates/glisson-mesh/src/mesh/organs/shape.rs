@@ -35,13 +35,18 @@ fn volume6([a, b, c, d]: [DVec3; 4]) -> f64 {
     (b - a).cross(c - a).dot(d - a)
 }
 
+/// What a tetrahedron of the outside has to hold at least [m3]: the same for each of its nodes, whatever cells are around these.
+fn least_outside_m3(complex: &Complex, tet: u32) -> f64 {
+    let cells_m = complex.tets[tet as usize].map(|n| complex.cell_m[n as usize]);
+    let cell_m = cells_m.into_iter().fold(f64::INFINITY, f64::min);
+    LEAST_OUTSIDE_VOLUME_OVER_CELL * cell_m * cell_m * cell_m
+}
+
 /// Judges the tetrahedra around nodes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StarShape<'a> {
     /// Tetrahedra at each node.
     pub(super) stars: &'a Stars,
-    /// Lattice cell [m].
-    pub(super) cell_m: f64,
 }
 
 impl StarShape<'_> {
@@ -52,7 +57,6 @@ impl StarShape<'_> {
 
     /// As [`StarShape::worst_at`], but done as soon as one is above `limit`.
     fn worst_below(&self, complex: &Complex, node: usize, at_m: DVec3, limit: f64) -> (f64, u32) {
-        let least_outside_m3 = LEAST_OUTSIDE_VOLUME_OVER_CELL * self.cell_m * self.cell_m * self.cell_m;
         let mut worst = (-1.0, u32::MAX);
         for &tet in self.stars.at(node) {
             let corners_m = complex.tets[tet as usize].map(|n| match n as usize == node {
@@ -61,7 +65,7 @@ impl StarShape<'_> {
             });
             let cosine = if complex.tet_regions[tet as usize] != 0 {
                 worst_cosine(corners_m)
-            } else if volume6(corners_m) > 6.0 * least_outside_m3 {
+            } else if volume6(corners_m) > 6.0 * least_outside_m3(complex, tet) {
                 -1.0
             } else {
                 INVERTED

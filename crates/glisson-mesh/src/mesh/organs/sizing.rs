@@ -1,5 +1,6 @@
 //! The lattice cell that gives the wanted number of tetrahedra.
 
+use super::cell_size::{CellSize, FinePlaces};
 use super::error::OrganMeshError;
 use super::field::ShareField;
 use super::labelling::Labelling;
@@ -16,6 +17,9 @@ const MOST_TRIALS: usize = 10;
 /// The number of tetrahedra falls with this power of the cell: between 2, thin organs, and 3, thick ones.
 const COUNT_POWER: f64 = 2.8;
 
+/// The smallest power that is reckoned with where cells are finer in places.
+const SMALLEST_COUNT_POWER: f64 = 0.7;
+
 /// A labelled lattice of the wanted size.
 pub(super) struct Sized {
     pub(super) cell_m: f64,
@@ -26,7 +30,11 @@ pub(super) struct Sized {
 ///
 /// # Errors
 /// A size that makes no sense, too many tetrahedra, an organ without a lattice node.
-pub(super) fn sized(regions: &RegionGrid, size: OrganSize) -> Result<Sized, OrganMeshError> {
+pub(super) fn sized(
+    regions: &RegionGrid,
+    size: OrganSize,
+    places: &FinePlaces,
+) -> Result<Sized, OrganMeshError> {
     match size {
         OrganSize::CellM(cell_m) => {
             let longest_m =
@@ -38,7 +46,7 @@ pub(super) fn sized(regions: &RegionGrid, size: OrganSize) -> Result<Sized, Orga
                     allowed: format!("more than 0 to {:.1} mm for these organs", 1e3 * longest_m),
                 });
             }
-            let (labelling, _) = labelled(regions, cell_m)?;
+            let (labelling, _) = labelled(regions, cell_m, places)?;
             check_each_has_nodes(regions, &labelling, cell_m)?;
             Ok(Sized { cell_m, labelling })
         }
@@ -50,18 +58,19 @@ pub(super) fn sized(regions: &RegionGrid, size: OrganSize) -> Result<Sized, Orga
                     allowed: format!("{MIN_ORGAN_TETRAHEDRA} to {MAX_ORGAN_TETRAHEDRA}"),
                 });
             }
-            with_count(regions, wanted as f64)
+            with_count(regions, wanted as f64, places)
         }
     }
 }
 
 /// The cell with which the number of tetrahedra is nearest to `wanted`, among those tried.
-fn with_count(regions: &RegionGrid, wanted: f64) -> Result<Sized, OrganMeshError> {
+fn with_count(regions: &RegionGrid, wanted: f64, places: &FinePlaces) -> Result<Sized, OrganMeshError> {
     // Borders add tetrahedra: begin with cells that are somewhat too large.
     let mut cell_m = 1.3 * libm::cbrt(total_m3(regions) / TETRAHEDRON_OVER_CELL / wanted);
     let mut best: Option<(f64, Sized)> = None;
+    let mut trial_before: Option<(f64, f64)> = None;
     for _ in 0..MOST_TRIALS {
-        let (labelling, n_tets) = match labelled(regions, cell_m) {
+        let (labelling, n_tets) = match labelled(regions, cell_m, places) {
             Ok(labelled) => labelled,
             // A trial went beyond what is allowed on the way to a number that is.
             Err(_) if best.is_some() => break,
@@ -75,11 +84,25 @@ fn with_count(regions: &RegionGrid, wanted: f64) -> Result<Sized, OrganMeshError
         if off < COUNT_GOAL {
             break;
         }
-        cell_m *= libm::pow(ratio, 1.0 / COUNT_POWER);
+        let power = match trial_before {
+            // Fine places do not follow the largest cells: the number changes less with these.
+            Some(before) if !CellSize::new(cell_m, places).is_even() => {
+                power_between(before, (cell_m, ratio))
+            }
+            _ => COUNT_POWER,
+        };
+        trial_before = Some((cell_m, ratio));
+        cell_m *= libm::pow(ratio, 1.0 / power);
     }
     let (_, found) = best.expect("the first trial is kept or an error");
     check_each_has_nodes(regions, &found.labelling, found.cell_m)?;
     Ok(found)
+}
+
+/// With which power of the cell the number of tetrahedra falls, from two trials of cell and number.
+fn power_between((cell_a, n_a): (f64, f64), (cell_b, n_b): (f64, f64)) -> f64 {
+    let power = -libm::log(n_b / n_a) / libm::log(cell_b / cell_a);
+    if power.is_finite() { power.clamp(SMALLEST_COUNT_POWER, COUNT_POWER) } else { COUNT_POWER }
 }
 
 fn total_m3(regions: &RegionGrid) -> f64 {
@@ -87,7 +110,11 @@ fn total_m3(regions: &RegionGrid) -> f64 {
 }
 
 /// Labels a lattice of this cell, unless it would have too many tetrahedra; and how many it will have.
-fn labelled(regions: &RegionGrid, cell_m: f64) -> Result<(Labelling, usize), OrganMeshError> {
+fn labelled(
+    regions: &RegionGrid,
+    cell_m: f64,
+    places: &FinePlaces,
+) -> Result<(Labelling, usize), OrganMeshError> {
     let volume_m3 = total_m3(regions);
     let cell_m3 = cell_m * cell_m * cell_m;
     let check = |n_tets: f64| {
@@ -103,7 +130,8 @@ fn labelled(regions: &RegionGrid, cell_m: f64) -> Result<(Labelling, usize), Org
         })
     };
     check(volume_m3 / (TETRAHEDRON_OVER_CELL * cell_m3))?;
-    let labelling = Labelling::new(regions, &ShareField::new(regions, cell_m), cell_m)?;
+    let size = CellSize::new(cell_m, places);
+    let labelling = Labelling::new(regions, &ShareField::new(regions, size), &size)?;
     let n_tets = labelling.n_tets();
     check(n_tets as f64)?;
     Ok((labelling, n_tets))

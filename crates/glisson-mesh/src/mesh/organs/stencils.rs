@@ -11,9 +11,9 @@
 //! the outside: the border of each of them is a closed manifold, whatever the regions are (Rourke and Sanderson,
 //! Introduction to Piecewise-Linear Topology, 1972, chapter 3).
 
+use super::background::Background;
 use super::complex::{Complex, NO_REGION};
 use crate::math::tetrahedron_volume_m3;
-use crate::mesh::stuffing::Lattice;
 use std::collections::HashMap;
 
 /// A point by the lattice nodes in whose middle it lies, ascending, filled up with [`NO_NODE`].
@@ -46,7 +46,7 @@ fn distinct(regions: [u16; 4]) -> usize {
 
 /// Cuts the lattice, whose nodes carry `regions`: all regions, and the outside as far as it shares a lattice tetrahedron with
 /// one. The cuts lie in the middle.
-pub(super) fn cut(lattice: &Lattice, regions: &[u16]) -> Complex {
+pub(super) fn cut(lattice: &Background, regions: &[u16]) -> Complex {
     let mut cutter = Cutter { lattice, regions, complex: Complex::default(), id_of: HashMap::new() };
     lattice.for_each_tet(|nodes| {
         let of_corners = nodes.map(|n| regions[n]);
@@ -58,7 +58,7 @@ pub(super) fn cut(lattice: &Lattice, regions: &[u16]) -> Complex {
 }
 
 struct Cutter<'a> {
-    lattice: &'a Lattice,
+    lattice: &'a Background,
     regions: &'a [u16],
     complex: Complex,
     /// Looked up, never walked through.
@@ -159,13 +159,16 @@ impl Cutter<'_> {
             let mut regions = [NO_REGION; 4];
             let mut sum = crate::math::DVec3::ZERO;
             let mut n = 0;
+            let mut cell_m = f64::INFINITY;
             for node in nodes {
                 sum += self.lattice.position_m(node);
                 regions[n] = self.regions[node];
+                cell_m = cell_m.min(self.lattice.cell_at_m(node));
                 n += 1;
             }
             regions.sort_unstable();
             complex.positions_m.push(sum / n as f64);
+            complex.cell_m.push(cell_m);
             complex.node_regions.push(regions);
             u32::try_from(complex.positions_m.len() - 1).expect("the number of tetrahedra is bounded")
         })
@@ -190,32 +193,56 @@ fn order_of(key: Key) -> (usize, Key) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::GRADED_DIHEDRAL_DEG;
+    use super::super::cell_size::{CellSize, FinePlaces};
+    use super::super::params::FinerBall;
     use super::*;
     use crate::math::{DVec3, SeededRandom};
     use crate::mesh::quality::dihedral_cosine_range;
+    use crate::mesh::stuffing::Lattice;
+
+    /// Cuts a lattice with random regions; checks that nothing overlaps or is left out, and answers the smallest and largest
+    /// angle [degrees].
+    fn angles_of_random_cuts(lattice: &Background) -> [f64; 2] {
+        let mut random = SeededRandom::new(3);
+        let mut all = [180.0f64, 0.0f64];
+        for n_regions in 2..5u64 {
+            let regions: Vec<u16> =
+                (0..lattice.n_nodes()).map(|_| 1 + (random.next_u64() % n_regions) as u16).collect();
+            let complex = cut(lattice, &regions);
+            let (mut n_expected, mut lattice_m3) = (0, 0.0);
+            lattice.for_each_tet(|nodes| {
+                lattice_m3 += tetrahedron_volume_m3(nodes.map(|n| lattice.position_m(n))).abs();
+                n_expected += n_pieces(nodes.map(|n| regions[n]));
+            });
+            assert_eq!(complex.tets.len(), n_expected);
+            let volume_m3: f64 = complex.volumes_m3(5).iter().sum();
+            assert!((volume_m3 / lattice_m3 - 1.0).abs() < 1e-9);
+            for tet in 0..complex.tets.len() {
+                let [low, high] =
+                    dihedral_cosine_range(complex.corners_m(tet)).map(|c| c.acos().to_degrees());
+                all = [all[0].min(high), all[1].max(low)];
+            }
+        }
+        all
+    }
 
     #[test]
     fn random_regions_are_cut_into_good_tetrahedra_that_fill_the_lattice() {
         let lattice = Lattice { dims: [6; 3], cell_m: 1.0, origin_m: DVec3::ZERO };
-        let mut random = SeededRandom::new(3);
-        for n_regions in 2..5u64 {
-            let regions: Vec<u16> =
-                (0..lattice.n_nodes()).map(|_| 1 + (random.next_u64() % n_regions) as u16).collect();
-            let complex = cut(&lattice, &regions);
-            let (mut n_lattice, mut n_expected) = (0, 0);
-            lattice.for_each_tet(|nodes| {
-                n_lattice += 1;
-                n_expected += n_pieces(nodes.map(|n| regions[n]));
-            });
-            assert_eq!(complex.tets.len(), n_expected);
-            let volume: f64 = complex.volumes_m3(5).iter().sum();
-            assert!((volume - f64::from(n_lattice) / 12.0).abs() < 1e-9);
-            let cosines = (0..complex.tets.len()).map(|t| dihedral_cosine_range(complex.corners_m(t)));
-            let [low, high] =
-                cosines.fold([1.0f64, -1.0f64], |[l, h], [low, high]| [l.min(low), h.max(high)]);
-            let [smallest_deg, largest_deg] = [high, low].map(|cosine| cosine.acos().to_degrees());
-            assert!(smallest_deg > 18.0, "{smallest_deg}");
-            assert!(largest_deg < 150.0, "{largest_deg}");
-        }
+        let [smallest_deg, largest_deg] = angles_of_random_cuts(&Background::Even(lattice));
+        assert!(smallest_deg > 18.0, "{smallest_deg}");
+        assert!(largest_deg < 150.0, "{largest_deg}");
+    }
+
+    #[test]
+    fn a_refined_lattice_is_cut_into_good_tetrahedra_too() {
+        let lattice = Lattice { dims: [9; 3], cell_m: 1.0, origin_m: DVec3::ZERO };
+        let ball = FinerBall { center_m: DVec3::splat(4.2), radius_m: 0.8, factor: 6.0 };
+        let places = FinePlaces::of_balls(vec![ball]);
+        let refined = Background::new(lattice, &CellSize::new(1.0, &places));
+        let [smallest_deg, largest_deg] = angles_of_random_cuts(&refined);
+        assert!(smallest_deg > GRADED_DIHEDRAL_DEG[0], "{smallest_deg}");
+        assert!(largest_deg < GRADED_DIHEDRAL_DEG[1], "{largest_deg}");
     }
 }

@@ -91,7 +91,7 @@ impl Lattice {
     }
 
     /// Coordinates of a node in half cells.
-    pub(super) fn half_cells(&self, node: usize) -> [i32; 3] {
+    pub(in crate::mesh) fn half_cells(&self, node: usize) -> [i32; 3] {
         self.place(node).map(|n| 2 * n as i32 + (node & 1) as i32)
     }
 

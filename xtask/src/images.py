@@ -133,6 +133,44 @@ print(f"refused with a reason: {len(refused)} of {len(refused) + sum(map(len, re
 needed = ["Implicit VR Little Endian", "Explicit VR Little Endian", "Explicit VR Big Endian", "RLE Lossless", "JPEG-LS Lossless Image Compression", "JPEG 2000 Image Compression", "JPEG 2000 Image Compression (Lossless Only)"]
 assert not set(needed) - set(read), set(needed) - set(read)
 
+# Copies of them without the patient: pydicom reads the same pixels, and no text, date or identifier of the original (words of the
+# standard, of type CS, remain).
+def texts(dataset):
+    for e in dataset.iterall():
+        if e.VR in ("PN", "LO", "LT", "ST", "UT", "SH", "AE", "DA", "DT", "TM", "UI"):
+            values = e.value if isinstance(e.value, (list, pydicom.multival.MultiValue)) else [e.value]
+            yield from (str(v) for v in values if v is not None)
+
+
+copied, uncopied = [], []
+for name in sorted(os.listdir(samples)):
+    file, out = os.path.join(samples, name), path(f"copy_{name}")
+    if not name.endswith(".dcm"):
+        continue
+    run = subprocess.run([program, "import", file, "--anonymize", out], capture_output=True, text=True)
+    assert run.returncode in (0, 1), (name, run.returncode, run.stderr)
+    if run.returncode == 1:
+        assert name in run.stderr and not os.path.exists(out), (name, run.stderr)
+        uncopied.append(name)
+        continue
+    [copy] = os.listdir(out)
+    old, new = pydicom.dcmread(file), pydicom.dcmread(os.path.join(out, copy))
+    assert old.file_meta.TransferSyntaxUID == new.file_meta.TransferSyntaxUID, name
+    try:
+        pixels = old.pixel_array
+    except Exception:
+        pixels = None
+    if pixels is not None:
+        assert (pixels == new.pixel_array).all(), name
+    data = "\n".join(texts(new))
+    for word in set(texts(old)):
+        is_of_the_standard = word.startswith("1.2.840.10008.")
+        assert len(word) < 5 or is_of_the_standard or word not in data, (name, word)
+    assert new.PatientIdentityRemoved == "YES" and new.PatientName == "ANONYMOUS", name
+    copied.append(name)
+print(f"copied without the patient, with the pixels that pydicom sees: {len(copied)} of {len(copied) + len(uncopied)} sample files")
+assert len(copied) > 30, (copied, uncopied)
+
 # Meshes of meshio, and ours in meshio.
 points = np.array([[0, 0, 0], [80, 0, 0], [0, 80, 0], [0, 0, 80], [80, 80, 80]], float)
 cells = [("tetra", np.array([[0, 1, 2, 3], [1, 2, 3, 4]]))]

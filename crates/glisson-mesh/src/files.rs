@@ -33,3 +33,46 @@ pub fn write_atomically(
     }
     result
 }
+
+/// Fills the folder `path` through a temporary one beside it, renamed into place only after `fill` succeeded. On any
+/// error there is no folder that was not there before. The folder may be there already if nothing is in it.
+///
+/// # Errors
+/// A folder that is not empty, or a file, in its place ([`io::ErrorKind::AlreadyExists`]); whatever `fill` answers.
+pub fn fill_folder_atomically<E: From<io::Error>>(
+    path: &Path,
+    fill: impl FnOnce(&Path) -> Result<(), E>,
+) -> Result<(), E> {
+    let taken = |what: &str| io::Error::new(io::ErrorKind::AlreadyExists, format!("{what} is there already"));
+    // Without dots and slashes at the end; they have no name.
+    let name = path.file_name().ok_or_else(|| {
+        io::Error::new(io::ErrorKind::InvalidInput, format!("{} names no folder", path.display()))
+    })?;
+    let is_there = path.is_dir();
+    if is_there && std::fs::read_dir(path)?.next().is_some() {
+        return Err(taken("a folder with files in it").into());
+    }
+    if path.exists() && !is_there {
+        return Err(taken("a file").into());
+    }
+    if let Some(parent) = path.parent() {
+        std::fs::create_dir_all(parent)?;
+    }
+    let mut temporary_name = std::ffi::OsString::from(".");
+    temporary_name.push(name);
+    temporary_name.push(format!(".{}.tmp", std::process::id()));
+    let temporary = path.with_file_name(temporary_name);
+    std::fs::create_dir(&temporary)?;
+    let result = fill(&temporary).and_then(|()| {
+        if is_there {
+            // Refused by the system if something came into it meanwhile.
+            std::fs::remove_dir(path)?;
+        }
+        Ok(std::fs::rename(&temporary, path)?)
+    });
+    if result.is_err() {
+        // The first error is the one to report.
+        let _ = std::fs::remove_dir_all(&temporary);
+    }
+    result
+}

@@ -1,5 +1,7 @@
 //! `glisson import`.
 
+mod anonymize;
+
 use std::path::{Path, PathBuf};
 
 use anyhow::ensure;
@@ -23,6 +25,7 @@ use super::output::make_folder_of;
   glisson import scans/abdomen
   glisson import scans/abdomen --series 2 -o out/ct.nii.gz
   glisson import segmentation.seg.nrrd --json
+  glisson import scans/abdomen --anonymize out/abdomen
   glisson import totalsegmentator_output -o out/labels.nii.gz")]
 pub(crate) struct Args {
     /// Image: a file, or a folder of DICOM slices or of masks
@@ -36,6 +39,10 @@ pub(crate) struct Args {
     /// Write the image (.nii, .nii.gz, .nrrd, .seg.nrrd or .mha)
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
+    /// Write copies of the DICOM files that do not tell who the patient is into a new folder: of all series, or of the one
+    /// chosen
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["output", "list", "labels"])]
+    anonymize: Option<PathBuf>,
     /// Take the numbers for labels (or, with `false`, for values) whatever they look like
     #[arg(long, value_name = "true|false")]
     labels: Option<bool>,
@@ -47,6 +54,9 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if args.list {
         return list_series(args);
+    }
+    if let Some(output) = &args.anonymize {
+        return anonymize::run(&args.input, args.series, output, args.json);
     }
     if let Some(output) = &args.output {
         let is_written = format_of_name(output).is_some_and(ImageFormat::is_written);

@@ -132,3 +132,82 @@ fn a_surface_with_a_hole_is_meshed_when_repair_is_asked_for() {
     assert_eq!(report["rebuilt"], true);
     says(folder.path(), &["check", "closed.stl"]);
 }
+
+/// A DICOM file of one slice of 2 x 2 voxels, element by element, of a patient with a name.
+fn dicom_slice(path: &Path) {
+    let element = |group: u16, number: u16, kind: &str, value: &[u8]| {
+        let mut bytes = [group.to_le_bytes(), number.to_le_bytes()].concat();
+        bytes.extend(kind.as_bytes());
+        let fill = if kind == "UI" { 0 } else { b' ' };
+        let mut value = value.to_vec();
+        if value.len() % 2 == 1 {
+            value.push(fill);
+        }
+        match kind {
+            "OB" | "OW" => {
+                bytes.extend([0, 0]);
+                bytes.extend((value.len() as u32).to_le_bytes());
+            }
+            _ => bytes.extend((value.len() as u16).to_le_bytes()),
+        }
+        [bytes, value].concat()
+    };
+    let short = |group, number, value: u16| element(group, number, "US", &value.to_le_bytes());
+    let class = b"1.2.840.10008.5.1.4.1.1.2";
+    let header = [
+        element(2, 1, "OB", &[0, 1]),
+        element(2, 2, "UI", class),
+        element(2, 3, "UI", b"1.2.3.4"),
+        element(2, 0x10, "UI", b"1.2.840.10008.1.2.1"),
+        element(2, 0x12, "UI", b"1.2.3"),
+    ]
+    .concat();
+    let image = [
+        element(8, 0x16, "UI", class),
+        element(8, 0x18, "UI", b"1.2.3.4"),
+        element(8, 0x60, "CS", b"CT"),
+        element(0x10, 0x10, "PN", b"Zzyzx^Quintilla"),
+        element(0x18, 0x50, "DS", b"2.5"),
+        element(0x20, 0x32, "DS", b"1\\2\\3"),
+        element(0x20, 0x37, "DS", b"1\\0\\0\\0\\1\\0"),
+        short(0x28, 2, 1),
+        element(0x28, 4, "CS", b"MONOCHROME2"),
+        short(0x28, 0x10, 2),
+        short(0x28, 0x11, 2),
+        element(0x28, 0x30, "DS", b"0.5\\0.5"),
+        short(0x28, 0x100, 16),
+        short(0x28, 0x101, 16),
+        short(0x28, 0x102, 15),
+        short(0x28, 0x103, 0),
+        element(0x7fe0, 0x10, "OW", &[1, 0, 2, 0, 3, 0, 4, 0]),
+    ]
+    .concat();
+    let length = element(2, 0, "UL", &(header.len() as u32).to_le_bytes());
+    std::fs::write(path, [&[0; 128], &b"DICM"[..], &length, &header, &image].concat()).unwrap();
+}
+
+#[test]
+fn copies_do_not_tell_the_patient_nor_of_each_other() {
+    let folder = tempfile::tempdir().unwrap();
+    dicom_slice(&folder.path().join("Zzyzx.dcm"));
+    let copy = |out| says(folder.path(), &["import", "Zzyzx.dcm", "--anonymize", out]).0;
+    assert!(copy("a").contains("copied     1 file(s) of 1 series"));
+    copy("b");
+    let [a, b] = ["a", "b"].map(|out| std::fs::read(folder.path().join(out).join("slice_0001.dcm")).unwrap());
+    assert!(!a.windows(5).any(|window| window == b"Zzyzx"));
+    // Each call has a key of its own.
+    assert_ne!(a, b);
+    let (said, _) = says(folder.path(), &["import", "a"]);
+    assert!(
+        said.contains("2 x 2 x 1 of 0.500 x 0.500 x 2.500") && said.contains("values     1 to 4"),
+        "{said}"
+    );
+    refuses(
+        folder.path(),
+        &["import", "Zzyzx.dcm", "--anonymize", "a"],
+        &["a: cannot write", "files in it is there already", "a folder that is not there or is empty"],
+    );
+    ball(folder.path(), "a.nrrd", [8, 8, 8]);
+    let no_dicom = ["import", "a.nrrd", "--anonymize", "c"];
+    refuses(folder.path(), &no_dicom, &["a.nrrd", "copies without the patient are made of DICOM"]);
+}

@@ -365,7 +365,7 @@ fn sequence(tag: Tag, elements: Vec<DataElement<InMemDicomObject>>) -> DataEleme
 }
 
 /// A segmentation of two segments: three frames in the planes 0 and 2 of 2 mm.
-fn segmentation(kind: &str, bits: &[u8]) -> InMemDicomObject {
+pub(super) fn segmentation(kind: &str, bits: &[u8]) -> InMemDicomObject {
     let plane = |place: f64, segment: u16| {
         let position =
             element(tags::IMAGE_POSITION_PATIENT, VR::DS, decimals(&[1.0, 2.0, 3.0 + 2.0 * place]));

@@ -2,6 +2,8 @@
 
 mod contours;
 #[cfg(feature = "dicom")]
+mod image_anonymize;
+#[cfg(feature = "dicom")]
 mod image_dicom;
 mod image_files;
 mod image_nifti;

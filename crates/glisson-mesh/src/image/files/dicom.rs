@@ -11,6 +11,7 @@
 //!
 //! Source: DICOM PS3.3 2024 (C.7.6.2 image plane, C.7.6.16 functional groups, C.8.20 segmentation), PS3.5.
 
+mod anonymize;
 mod frames;
 mod lengths;
 mod pixels;
@@ -24,6 +25,7 @@ use super::error::ImageError;
 use super::format::ImageFormat;
 use super::stored::StoredImage;
 
+pub use anonymize::{AnonymousCopy, anonymize};
 pub use series::{SeriesChoice, SeriesSummary};
 
 /// The format's row of the table.

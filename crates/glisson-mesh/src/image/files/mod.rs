@@ -30,7 +30,7 @@ mod text_header;
 mod written;
 
 #[cfg(feature = "dicom")]
-pub use dicom::{SeriesChoice, SeriesSummary, series_in};
+pub use dicom::{AnonymousCopy, SeriesChoice, SeriesSummary, anonymize, series_in};
 pub use error::{HeaderPlace, ImageError};
 pub use format::ImageFormat;
 pub use stored::StoredImage;

@@ -18,7 +18,7 @@ use crate::binary::NumberType;
 /// How the numbers of a file's frames are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PixelKind {
-    n_bits_allocated: u32,
+    pub(super) n_bits_allocated: u32,
     n_bits_stored: u32,
     high_bit: u32,
     is_signed: bool,
@@ -64,6 +64,11 @@ impl PixelKind {
         }
     }
 
+    /// A word with its value and nothing in the bits that are not used (sign bits go on above).
+    pub(super) fn bare(self, word: u32) -> u32 {
+        (self.value(word) << (self.high_bit + 1 - self.n_bits_stored)) as u32
+    }
+
     /// The value in a word: its stored bits, with their sign.
     fn value(self, word: u32) -> i64 {
         let shifted = word >> (self.high_bit + 1 - self.n_bits_stored);
@@ -77,7 +82,7 @@ impl PixelKind {
 
 /// How the pixels of a transfer syntax become numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Coding {
+pub(super) enum Coding {
     /// Words one after the other.
     Plain,
     /// What `dicom-pixeldata` decodes: RLE, JPEG baseline, JPEG lossless.
@@ -100,6 +105,22 @@ const CODINGS: &[(&str, Coding)] = &[
     (uids::JPEG2000_LOSSLESS, Coding::Jpeg2000),
     (uids::JPEG2000, Coding::Jpeg2000),
 ];
+
+/// How the pixels of a transfer syntax become numbers.
+///
+/// # Errors
+/// A transfer syntax that is not read, by its name.
+pub(super) fn coding_of(file: &Path, uid: &str) -> Result<Coding, ImageError> {
+    let coding = CODINGS.iter().find(|(known, _)| *known == uid).map(|(_, coding)| *coding);
+    coding.ok_or_else(|| {
+        let name = TransferSyntaxRegistry.get(uid).map_or("unknown", |syntax| syntax.name());
+        let reason = format!(
+            "its pixels are coded as {name} ({uid}), which is not read; convert the file to an uncompressed transfer \
+             syntax (e.g. with gdcmconv --raw or dcmdjpeg)"
+        );
+        ImageError::Series { folder: file.to_path_buf(), reason }
+    })
+}
 
 /// The pixels of a file, out of which frames are taken.
 pub(super) struct Pixels<'a> {
@@ -126,15 +147,7 @@ impl<'a> Pixels<'a> {
     ) -> Result<Self, ImageError> {
         let kind = PixelKind::of(file, object)?;
         let uid = object.meta().transfer_syntax().trim_end_matches(['\0', ' ']);
-        let coding = CODINGS.iter().find(|(known, _)| *known == uid).map(|(_, coding)| *coding);
-        let coding = coding.ok_or_else(|| {
-            let name = TransferSyntaxRegistry.get(uid).map_or("unknown", |syntax| syntax.name());
-            let reason = format!(
-                "its pixels are coded as {name} ({uid}), which is not read; convert the file to an uncompressed transfer \
-                 syntax (e.g. with gdcmconv --raw or dcmdjpeg)"
-            );
-            ImageError::Series { folder: file.to_path_buf(), reason }
-        })?;
+        let coding = coding_of(file, uid)?;
         let mut plain = Vec::new();
         if coding == Coding::Plain {
             let missing = || wrong(file, object, tags::PIXEL_DATA, "PixelData", "the pixels of the image");

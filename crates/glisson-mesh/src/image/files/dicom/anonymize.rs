@@ -1,0 +1,290 @@
+//! Copies of DICOM series that do not tell who the patient is.
+//!
+//! A copy holds what is on a list ([`kept`]) and nothing else: the size, place and meaning of the voxels, and the voxels.
+//! So every attribute that the basic profile of DICOM PS3.15 2024, table E.1-1, removes or empties is gone (names,
+//! identifiers, dates, times, institutions, persons, comments, descriptions, private groups, curves and overlays), and
+//! those that nobody has thought of. What a valid file must have is filled in empty or with a fixed word. Numbers have
+//! to be numbers and words those that the standard defines, so that nothing hides under the tag of something else.
+//!
+//! Unique identifiers are replaced by `2.25.` and a 128-bit number: the keyed BLAKE3 hash of the old one. The key is the
+//! caller's and should be random and forgotten: with a fixed one, whoever has a list of a hospital's identifiers could
+//! look up which of them a copy is of. Equal identifiers remain equal among all files of one call, so that what one
+//! file says of another (a segmentation of its image) still holds; copies of two calls cannot be linked.
+//!
+//! Pixels keep their coding ([`bare_pixels`]).
+
+mod bare_pixels;
+mod identifiers;
+mod kept;
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use dicom_core::{DataElement, PrimitiveValue, VR, value::DataSetSequence};
+use dicom_dictionary_std::tags;
+use dicom_object::{DefaultDicomObject, FileMetaTableBuilder, InMemDicomObject, Tag};
+
+use self::identifiers::NewIdentifiers;
+use super::super::error::ImageError;
+use super::frames::{frames_of, text};
+use super::pixels::coding_of;
+use super::series::{self, SeriesChoice, causes, is_dicom, open};
+use crate::files::fill_folder_atomically;
+
+/// Which patient all copies are of.
+const PATIENT: &str = "ANONYMOUS";
+/// What was done, for who reads the copies (at most 64 characters).
+const METHOD: &str = "glisson: only listed attributes kept, identifiers replaced";
+/// The beginning of the storage classes of secondary captures (DICOM PS3.4, B.5).
+const SECONDARY_CAPTURE: &str = "1.2.840.10008.5.1.4.1.1.7";
+
+/// What was copied.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AnonymousCopy {
+    /// Series.
+    pub n_series: usize,
+    /// Files, one for each of the original.
+    pub n_files: usize,
+    /// What a user should know before the copies are given away.
+    pub notes: Vec<String>,
+}
+
+/// Writes a copy of the DICOM series in `input` (a folder or a file; all of them, or the one that is chosen) into the
+/// folder `output` that does not tell who the patient is. `key` makes the new identifiers; see the module.
+///
+/// Files are called `slice_0001.dcm` and so on, in the order of their places; those of several series lie in folders
+/// `series_1` and so on.
+///
+/// # Errors
+/// [`ImageError`]: no DICOM, a damaged file, a transfer syntax or an element that is not read, a storage class that is
+/// not the standard's own, an output folder that is not empty or lies in `input`, a refusal of the file system. Then
+/// there is no output folder.
+pub fn anonymize(
+    input: &Path,
+    choice: &SeriesChoice,
+    output: &Path,
+    key: [u8; 32],
+) -> Result<AnonymousCopy, ImageError> {
+    if input.is_file() && !is_dicom(input) {
+        return Err(ImageError::UnknownFormat {
+            file: input.to_path_buf(),
+            found: "no DICM behind its first 128 bytes".into(),
+            allowed: "copies without the patient are made of DICOM; write another format with `-o`, which takes nothing \
+                      but the image along"
+                .into(),
+        });
+    }
+    let all = match choice {
+        SeriesChoice::Only => series::find(input)?,
+        SeriesChoice::Number(_) => vec![series::chosen(input, choice)?],
+    };
+    let unwritable = |reason: String| ImageError::Unwritable { file: output.to_path_buf(), reason };
+    if lies_in(output, input) {
+        return Err(unwritable("it lies in the folder that is copied; name one outside of it".into()));
+    }
+    let mut seen = Seen::default();
+    let result = fill_folder_atomically(output, |folder| {
+        let identifiers = NewIdentifiers::with_key(key);
+        for (index, series) in all.iter().enumerate() {
+            let folder = if all.len() == 1 {
+                folder.to_path_buf()
+            } else {
+                let own = folder.join(format!("series_{}", index + 1));
+                std::fs::create_dir(&own)?;
+                own
+            };
+            for (number, file) in in_order(&series.files)?.into_iter().enumerate() {
+                let copy = folder.join(format!("slice_{:04}.dcm", number + 1));
+                let numbers = Numbers { series: index + 1, instance: number + 1 };
+                write_copy(file, &copy, &identifiers, &numbers, &mut seen)?;
+            }
+        }
+        Ok::<(), Failure>(())
+    });
+    result.map_err(|failure| match failure {
+        Failure::Image(error) => error,
+        Failure::Output(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
+            unwritable(format!("{error}; name a folder that is not there or is empty"))
+        }
+        Failure::Output(source) => ImageError::Io { file: output.to_path_buf(), source },
+    })?;
+    let n_files = all.iter().map(|series| series.files.len()).sum();
+    Ok(AnonymousCopy { n_series: all.len(), n_files, notes: seen.notes() })
+}
+
+/// Why no copy came about.
+enum Failure {
+    Image(ImageError),
+    Output(std::io::Error),
+}
+
+impl From<ImageError> for Failure {
+    fn from(error: ImageError) -> Self {
+        Self::Image(error)
+    }
+}
+
+impl From<std::io::Error> for Failure {
+    fn from(error: std::io::Error) -> Self {
+        Self::Output(error)
+    }
+}
+
+/// Whether a path that need not be there lies in a folder.
+fn lies_in(path: &Path, folder: &Path) -> bool {
+    let Ok(folder) = folder.canonicalize() else { return false };
+    let Ok(absolute) = std::path::absolute(path) else { return false };
+    let there = absolute.ancestors().find_map(|ancestor| ancestor.canonicalize().ok());
+    folder.is_dir() && there.is_some_and(|there| there.starts_with(&folder))
+}
+
+/// Files in the order of their first frames along the normal of these; files without a place before, by their names.
+fn in_order(files: &[PathBuf]) -> Result<Vec<&Path>, ImageError> {
+    let mut placed = Vec::with_capacity(files.len());
+    for file in files {
+        let frames = frames_of(file, &open(file, false)?).unwrap_or_default();
+        let height_mm = frames.first().map(|frame| frame.position_mm.dot(frame.normal()));
+        placed.push((height_mm.unwrap_or(f64::NEG_INFINITY), file.as_path()));
+    }
+    placed.sort_by(|a, b| a.0.total_cmp(&b.0));
+    Ok(placed.into_iter().map(|(_, file)| file).collect())
+}
+
+/// The numbers that a copy gets, from 1.
+struct Numbers {
+    series: usize,
+    instance: usize,
+}
+
+/// What copied files say of themselves.
+#[derive(Clone, Debug, Default)]
+struct Seen {
+    n_burned_in: usize,
+    n_silent_captures: usize,
+    n_renamed_segments: usize,
+}
+
+impl Seen {
+    fn look_at(&mut self, object: &InMemDicomObject) {
+        let burned_in = text(object, tags::BURNED_IN_ANNOTATION);
+        let is_capture = text(object, tags::SOP_CLASS_UID)
+            .is_some_and(|uid| uid.starts_with(SECONDARY_CAPTURE))
+            || object.get(tags::CONVERSION_TYPE).is_some();
+        match burned_in.as_deref() {
+            Some("NO") => {}
+            Some(_) => self.n_burned_in += 1,
+            None => self.n_silent_captures += usize::from(is_capture),
+        }
+        let segments = object.get(tags::SEGMENT_SEQUENCE).and_then(|element| element.items());
+        self.n_renamed_segments += segments.map_or(0, <[_]>::len);
+    }
+
+    fn notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        if self.n_burned_in > 0 {
+            notes.push(format!(
+                "WARNING: {} file(s) say that text is drawn into their pixels (BurnedInAnnotation); pixels are copied as \
+                 they are: look at them before you give the copies away",
+                self.n_burned_in
+            ));
+        }
+        if self.n_silent_captures > 0 {
+            notes.push(format!(
+                "WARNING: {} file(s) are pictures of a screen or of paper and do not say whether text is drawn into \
+                 their pixels; pixels are copied as they are: look at them before you give the copies away",
+                self.n_silent_captures
+            ));
+        }
+        if self.n_renamed_segments > 0 {
+            notes.push(format!(
+                "the names of {} segment(s) are free text and were replaced by their numbers",
+                self.n_renamed_segments
+            ));
+        }
+        notes
+    }
+}
+
+/// An element of text.
+fn word(tag: Tag, vr: VR, value: &str) -> DataElement<InMemDicomObject> {
+    DataElement::new(tag, vr, PrimitiveValue::from(value))
+}
+
+fn write_copy(
+    file: &Path,
+    copy: &Path,
+    identifiers: &NewIdentifiers,
+    numbers: &Numbers,
+    seen: &mut Seen,
+) -> Result<(), Failure> {
+    let object = open(file, true)?;
+    seen.look_at(&object);
+    let syntax = object.meta().transfer_syntax().trim_end_matches(['\0', ' ']).to_owned();
+    coding_of(file, &syntax)?;
+    let bare = bare_copy(file, &object, identifiers, numbers)?;
+    let meta = FileMetaTableBuilder::new().transfer_syntax(&syntax);
+    let refuse = |error: &dyn std::error::Error| ImageError::Series {
+        folder: file.to_path_buf(),
+        reason: format!("it cannot be copied: {}", causes(error)),
+    };
+    let whole = bare.with_meta(meta).map_err(|error| refuse(&error))?;
+    let mut writer = BufWriter::new(File::create_new(copy)?);
+    whole.write_all(&mut writer).map_err(|error| refuse(&error))?;
+    writer.into_inner().map_err(std::io::IntoInnerError::into_error)?.sync_all()?;
+    Ok(())
+}
+
+/// The object of a file with what is kept, and what a valid file must have.
+fn bare_copy(
+    file: &Path,
+    object: &DefaultDicomObject,
+    identifiers: &NewIdentifiers,
+    numbers: &Numbers,
+) -> Result<InMemDicomObject, ImageError> {
+    let mut bare = kept::kept_of(file, object, identifiers)?;
+    if bare.get(tags::SOP_CLASS_UID).is_none() {
+        let class = kept::class_of_the_standard(file, object.meta().media_storage_sop_class_uid())?;
+        bare.put(word(tags::SOP_CLASS_UID, VR::UI, &class));
+    }
+    bare.put(bare_pixels::of(file, object)?);
+    for (tag, vr) in [
+        (tags::STUDY_DATE, VR::DA),
+        (tags::STUDY_TIME, VR::TM),
+        (tags::ACCESSION_NUMBER, VR::SH),
+        (tags::MANUFACTURER, VR::LO),
+        (tags::REFERRING_PHYSICIAN_NAME, VR::PN),
+        (tags::PATIENT_BIRTH_DATE, VR::DA),
+        (tags::PATIENT_SEX, VR::CS),
+        (tags::STUDY_ID, VR::SH),
+        (tags::POSITION_REFERENCE_INDICATOR, VR::LO),
+    ] {
+        bare.put(DataElement::new(tag, vr, PrimitiveValue::Empty));
+    }
+    bare.put(word(tags::PATIENT_NAME, VR::PN, PATIENT));
+    bare.put(word(tags::PATIENT_ID, VR::LO, PATIENT));
+    bare.put(word(tags::SERIES_NUMBER, VR::IS, &numbers.series.to_string()));
+    bare.put(word(tags::INSTANCE_NUMBER, VR::IS, &numbers.instance.to_string()));
+    // Files that lack these are told apart, or kept together, as reading them does.
+    let instance = format!("instance {} of series {}", numbers.instance, numbers.series);
+    for (tag, instead) in [
+        (tags::SOP_INSTANCE_UID, instance.as_str()),
+        (tags::SERIES_INSTANCE_UID, "series"),
+        (tags::STUDY_INSTANCE_UID, "study"),
+    ] {
+        if bare.get(tag).is_none() {
+            bare.put(word(tag, VR::UI, &identifiers.of(instead)));
+        }
+    }
+    bare.put(word(tags::PATIENT_IDENTITY_REMOVED, VR::CS, "YES"));
+    bare.put(word(tags::DEIDENTIFICATION_METHOD, VR::LO, METHOD));
+    let profile = InMemDicomObject::from_element_iter([
+        word(tags::CODE_VALUE, VR::SH, "113100"),
+        word(tags::CODING_SCHEME_DESIGNATOR, VR::SH, "DCM"),
+        word(tags::CODE_MEANING, VR::LO, "Basic Application Confidentiality Profile"),
+    ]);
+    let methods = DataSetSequence::from(vec![profile]);
+    bare.put(DataElement::new(tags::DEIDENTIFICATION_METHOD_CODE_SEQUENCE, VR::SQ, methods));
+    bare.put(word(tags::LONGITUDINAL_TEMPORAL_INFORMATION_MODIFIED, VR::CS, "REMOVED"));
+    Ok(bare)
+}

@@ -1,12 +1,14 @@
 //! `glisson import`.
 
 mod anonymize;
+mod slices;
 
 use std::path::{Path, PathBuf};
 
 use anyhow::ensure;
 use glisson::image::files::{
-    ImageFormat, StoredImage, format_of_name, image_extensions, series_in, write_label_map, write_volume,
+    ImageFormat, StoredImage, format_of_name, image_extensions, read_slices, series_in, write_label_map,
+    write_volume,
 };
 use glisson::image::{LabelMap, VoxelGrid};
 use glisson::math::DVec3;
@@ -18,7 +20,7 @@ use super::output::make_folder_of;
 /// Say what an image is, and write it in another format.
 ///
 /// Reads a DICOM folder or file (also DICOM-SEG), NIfTI, NRRD (also .seg.nrrd), MetaImage, INRIMAGE, or a folder of
-/// masks with one organ a file. Prints where the image lies in the patient, its voxels and its values; of a label map
+/// masks with one organ a file; with --spacing-mm also a folder of pictures, one a slice. Prints where the image lies in the patient, its voxels and its values; of a label map
 /// the organs with their volumes. Nothing that tells who the patient is is printed or written.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
@@ -26,6 +28,7 @@ use super::output::make_folder_of;
   glisson import scans/abdomen --series 2 -o out/ct.nii.gz
   glisson import segmentation.seg.nrrd --json
   glisson import scans/abdomen --anonymize out/abdomen
+  glisson import visible_human --spacing-mm 0.33,0.33,1 --head-first -o out/body.nii.gz
   glisson import totalsegmentator_output -o out/labels.nii.gz")]
 pub(crate) struct Args {
     /// Image: a file, or a folder of DICOM slices or of masks
@@ -43,6 +46,8 @@ pub(crate) struct Args {
     /// chosen
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["output", "list", "labels"])]
     anonymize: Option<PathBuf>,
+    #[command(flatten)]
+    slices: slices::SliceArgs,
     /// Take the numbers for labels (or, with `false`, for values) whatever they look like
     #[arg(long, value_name = "true|false")]
     labels: Option<bool>,
@@ -63,7 +68,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let allowed = image_extensions(ImageFormat::is_written).join(", .");
         ensure!(is_written, "{}: the name must end in one of .{allowed}", output.display());
     }
-    let mut image = read(&args.input, args.series)?;
+    let mut image = match args.slices.options() {
+        Some(options) => read_slices(&args.input, &options)?,
+        None => read(&args.input, args.series)?,
+    };
     let (contents, guess) = Contents::of(&image, args.labels)?;
     image.notes.extend(guess);
     if let Some(output) = &args.output {

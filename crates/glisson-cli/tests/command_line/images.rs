@@ -211,3 +211,39 @@ fn copies_do_not_tell_the_patient_nor_of_each_other() {
     let no_dicom = ["import", "a.nrrd", "--anonymize", "c"];
     refuses(folder.path(), &no_dicom, &["a.nrrd", "copies without the patient are made of DICOM"]);
 }
+
+#[test]
+fn pictures_of_slices_are_imported_with_distances() {
+    let folder = tempfile::tempdir().unwrap();
+    let stack = folder.path().join("stack");
+    std::fs::create_dir(&stack).unwrap();
+    for k in 0..3u8 {
+        let file = std::fs::File::create(stack.join(format!("slice{}.png", 9 + k))).unwrap();
+        let mut encoder = png::Encoder::new(file, 2, 2);
+        encoder.set_color(png::ColorType::Rgb);
+        let bytes: Vec<u8> = (0..12).map(|n| 60 * k + 5 * n).collect();
+        encoder.write_header().unwrap().write_image_data(&bytes).unwrap();
+    }
+    refuses(folder.path(), &["import", "stack"], &["3 picture(s) of slices", "--spacing-mm X,Y,Z"]);
+    let import = ["import", "stack", "--spacing-mm", "0.33,0.33,1"];
+    let green = [&import[..], &["--channel", "green", "--head-first", "--labels", "false", "-o", "g.nii.gz"]]
+        .concat();
+    let (said, _) = says(folder.path(), &green);
+    for words in
+        ["pictures of slices", "2 x 2 x 3 of 0.330 x 0.330 x 1.000", "k to inferior", "of the colours green"]
+    {
+        assert!(said.contains(words), "no `{words}` in {said}");
+    }
+    assert!(said.contains("values     5 to 170"), "{said}");
+    let (said, _) = says(folder.path(), &["import", "g.nii.gz", "--labels", "false"]);
+    assert!(said.contains("values     5 to 170") && said.contains("k to inferior"), "{said}");
+    refuses(folder.path(), &[&import[..], &["--size", "2,2"]].concat(), &["leave --size out"]);
+    for (arguments, words) in [
+        (["--spacing-mm", "0.33,1"], "`0.33,1` is not 3 numbers"),
+        (["--channel", "red"], "--spacing-mm <X,Y,Z>"),
+    ] {
+        let output = glisson(folder.path(), &[&["import", "stack"], &arguments[..]].concat());
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(2) && message.contains(words), "{message}");
+    }
+}

@@ -7,6 +7,7 @@ mod image_anonymize;
 mod image_dicom;
 mod image_files;
 mod image_nifti;
+mod image_slices;
 mod images;
 mod mesh_edit_kinds;
 mod mesh_edit_sequences;

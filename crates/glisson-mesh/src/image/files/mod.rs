@@ -8,6 +8,7 @@
 //! | INRIMAGE-4 | `.inr`, `.inr.gz` | every number type | |
 //! | DICOM (feature `dicom`) | a folder, `.dcm` or any name | slices, frames, segmentations | |
 //! | masks | a folder of files of the formats above | one organ a file, named after it | |
+//! | pictures ([`read_slices`]) | a folder of `.png`, `.tif`, `.tiff`, `.raw` or `.rgb` | one slice a file, with distances that are given | |
 //!
 //! Inside are LPS and metres, whatever the file has; a file that does not say which side is left is refused where its
 //! format could say so. Names and colours of labels are read and written by every format that is written. Sizes in a
@@ -25,6 +26,7 @@ mod nifti;
 mod nrrd;
 mod packed;
 mod placement;
+mod slices;
 mod stored;
 mod text_header;
 mod written;
@@ -33,6 +35,7 @@ mod written;
 pub use dicom::{AnonymousCopy, SeriesChoice, SeriesSummary, anonymize, series_in};
 pub use error::{HeaderPlace, ImageError};
 pub use format::ImageFormat;
+pub use slices::{RawSlices, SliceChannel, SliceOptions, read_slices};
 pub use stored::StoredImage;
 
 use std::io::Read;
@@ -120,13 +123,18 @@ fn read_folder(folder: &Path) -> Result<StoredImage, ImageError> {
         return masks::read(folder, &masks, read_image);
     }
     #[cfg(feature = "dicom")]
-    return dicom::read(folder, &SeriesChoice::Only);
+    return match slices::without_spacing(folder)
+        .filter(|_| !dicom::is_in(folder) && series_in(folder).is_err())
+    {
+        Some(error) => Err(error),
+        None => dicom::read(folder, &SeriesChoice::Only),
+    };
     #[cfg(not(feature = "dicom"))]
-    Err(ImageError::UnknownFormat {
+    Err(slices::without_spacing(folder).unwrap_or(ImageError::UnknownFormat {
         file: folder.to_path_buf(),
         found: "a folder without images".into(),
         allowed: "DICOM folders are read by a program that is built with the feature `dicom`".into(),
-    })
+    }))
 }
 
 /// The DICOM series of a folder that is meant.

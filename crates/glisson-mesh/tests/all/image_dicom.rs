@@ -164,11 +164,6 @@ fn what_is_no_volume_is_refused_with_its_place() {
         ("uneven", |s, _| s[3].position_mm += DVec3::new(0.0, -0.25, 0.433), &["uneven distances"]),
         ("beside", |s, _| s[3].position_mm.x += 3.0, &["beside the line of the other slices"]),
         (
-            "tilted",
-            |s, _| s.iter_mut().for_each(|slice| slice.position_mm.x += 0.4 * slice.number as f64),
-            &["degrees", "tilted gantry"],
-        ),
-        (
             "phases",
             |s, _| {
                 let mut other = s[2].clone();

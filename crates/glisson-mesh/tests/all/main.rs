@@ -5,6 +5,8 @@ mod contours;
 mod image_anonymize;
 #[cfg(feature = "dicom")]
 mod image_dicom;
+#[cfg(feature = "dicom")]
+mod image_dicom_stacks;
 mod image_files;
 mod image_nifti;
 mod image_slices;

@@ -2,8 +2,9 @@
 //!
 //! The frame of DICOM is LPS and its lengths are millimetres, so positions carry over as they are. Slices are put in
 //! order by their position along the normal of their plane, never by name or number. A folder with several series, a
-//! series with a missing slice, slices of different size or direction, several volumes at one place and a tilted
-//! gantry are refused with what was found; slices that are there twice with the same content are taken once.
+//! series with a missing slice, slices of different size or direction and several volumes at one place are refused with
+//! what was found; slices that are there twice with the same content are taken once, those of a tilted gantry put
+//! upright.
 //!
 //! Transfer syntaxes: implicit and explicit, both byte orders, deflated; RLE; JPEG baseline and lossless; JPEG-LS;
 //! JPEG 2000. Others (among them HTJ2K and 12-bit JPEG) are refused by name.
@@ -17,6 +18,7 @@ mod lengths;
 mod pixels;
 mod segmentation;
 mod series;
+mod tilt;
 mod volume;
 
 use std::path::Path;

@@ -7,7 +7,7 @@ use crate::image::VoxelGrid;
 use crate::math::{DMat3, DVec3};
 
 /// Largest cosine between two voxel axes that still counts as a right angle: 0.15 mm over 300 mm.
-const MAX_SHEAR: f64 = 5e-4;
+pub(super) const MAX_SHEAR: f64 = 5e-4;
 /// Voxel sizes that are allowed [m]: from a micrometre of a microscope to more than any scanner's slice.
 const SPACING_M: [f64; 2] = [1e-6, 0.1];
 /// How far a size may be outside that for rounding in a file's numbers, relative.

@@ -8,6 +8,7 @@ use super::super::stored::{StoredData, StoredImage};
 use super::frames::{Frame, frames_of};
 use super::pixels::Pixels;
 use super::series::{Series, open};
+use super::tilt::Tilt;
 use crate::binary::{ByteOrder, NumberType};
 use crate::image::VoxelGrid;
 use crate::math::DVec3;
@@ -144,9 +145,8 @@ fn have_same_content(a: &Frame, b: &Frame) -> Result<bool, ImageError> {
     Ok((a.slope, a.intercept) == (b.slope, b.intercept) && values(a)? == values(b)?)
 }
 
-/// The grid of planes in order; the step from one to the next is that of their positions, so that a tilted gantry
-/// shows as axes that are not at right angles.
-fn grid_of(folder: &Path, frames: &[Frame], distance_mm: f64) -> Result<VoxelGrid, ImageError> {
+/// The step from each plane to the next [mm]: that of their positions, which leans in slices of a tilted gantry.
+fn step_of(folder: &Path, frames: &[Frame], distance_mm: f64) -> Result<DVec3, ImageError> {
     let first = &frames[0];
     let last = frames.len() - 1;
     let step = match last {
@@ -164,6 +164,12 @@ fn grid_of(folder: &Path, frames: &[Frame], distance_mm: f64) -> Result<VoxelGri
             return Err(ImageError::Series { folder: folder.to_path_buf(), reason });
         }
     }
+    Ok(step)
+}
+
+/// The grid of planes in order that stand above each other.
+fn grid_of(folder: &Path, frames: &[Frame], distance_mm: f64, step: DVec3) -> Result<VoxelGrid, ImageError> {
+    let first = &frames[0];
     let [columns_mm, rows_mm] = first.spacing_mm;
     let dims = [first.dims[0], first.dims[1], frames.len()];
     let spacing_m = DVec3::new(columns_mm, rows_mm, distance_mm) * 1e-3;
@@ -179,8 +185,15 @@ pub(super) fn volume(folder: &Path, series: &Series) -> Result<StoredImage, Imag
     let frames = frames_of_series(folder, series)?;
     let mut notes = Vec::new();
     let (frames, distance_mm) = in_order(folder, frames, &mut notes)?;
-    let grid = grid_of(folder, &frames, distance_mm)?;
-    let data = numbers_of(&frames)?;
+    let step_mm = step_of(folder, &frames, distance_mm)?;
+    let (grid, data) = match Tilt::of(folder, &frames[0], frames.len(), step_mm)? {
+        None => (grid_of(folder, &frames, distance_mm, step_mm)?, numbers_of(&frames)?),
+        Some(tilt) => {
+            let (data, note) = tilt.straighten(&numbers_of(&frames)?);
+            notes.push(note);
+            (tilt.grid, data)
+        }
+    };
     let mut image = StoredImage::new(folder, NAME, grid, data);
     image.notes = notes;
     Ok(image)

@@ -123,7 +123,8 @@ for name in sorted(os.listdir(samples)):
         refused[name] = run.stderr.strip()
         continue
     d = pydicom.dcmread(file)
-    expected = d.pixel_array.astype(float) * float(d.get("RescaleSlope", 1)) + float(d.get("RescaleIntercept", 0))
+    slope = d.get("DoseGridScaling", d.get("RescaleSlope", 1))
+    expected = d.pixel_array.astype(float) * float(slope) + float(d.get("RescaleIntercept", 0))
     found = sitk.GetArrayFromImage(sitk.ReadImage(path("d.nrrd")))
     assert (found.reshape(expected.shape) == expected.astype("float32")).all(), name
     read.setdefault(d.file_meta.TransferSyntaxUID.name, []).append(name)
@@ -132,6 +133,7 @@ for syntax, names in read.items():
 print(f"refused with a reason: {len(refused)} of {len(refused) + sum(map(len, read.values()))}")
 needed = ["Implicit VR Little Endian", "Explicit VR Little Endian", "Explicit VR Big Endian", "RLE Lossless", "JPEG-LS Lossless Image Compression", "JPEG 2000 Image Compression", "JPEG 2000 Image Compression (Lossless Only)"]
 assert not set(needed) - set(read), set(needed) - set(read)
+assert "rtdose.dcm" in sum(read.values(), []), "frames with offsets"
 
 # Copies of them without the patient: pydicom reads the same pixels, and no text, date or identifier of the original (words of the
 # standard, of type CS, remain).

@@ -1,11 +1,11 @@
-//! DICOM slices that do not stand one above the other: tilted gantries.
+//! DICOM frames that do not stand one above the other as they come: tilted gantries, and offsets along a stack.
 
 use std::path::Path;
 
 use dicom_core::{DataElement, PrimitiveValue, VR};
 use dicom_dictionary_std::{tags, uids};
 use dicom_object::{FileMetaTableBuilder, InMemDicomObject, Tag};
-use glisson_mesh::image::files::read_image;
+use glisson_mesh::image::files::{StoredImage, read_image};
 use glisson_mesh::math::DVec3;
 
 const COLUMNS: usize = 24;
@@ -162,4 +162,95 @@ fn a_tilted_image_that_would_become_huge_is_refused() {
     }
     let message = read_image(folder.path()).unwrap_err().to_string();
     assert!(message.contains("times as large") && message.contains("are the positions right"), "{message}");
+}
+
+/// A dose of frames of 2 x 1 voxels, as read or refused.
+fn dose(axes: [DVec3; 2], offsets_mm: Option<&[f64]>) -> Result<StoredImage, String> {
+    let offsets = offsets_mm.map(|mm| element(tags::GRID_FRAME_OFFSET_VECTOR, VR::DS, decimals(mm)));
+    dose_with(axes, offsets)
+}
+
+/// The same, with the element of the offsets.
+fn dose_with(
+    axes: [DVec3; 2],
+    offsets: Option<DataElement<InMemDicomObject>>,
+) -> Result<StoredImage, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("dose.dcm");
+    let n = 4;
+    let words = (0..2 * n).map(|word| 100 + word as u16).collect();
+    let mut object = plane(ORIGIN_MM, axes, [2, 1], words);
+    object.put(element(tags::MODALITY, VR::CS, "RTDOSE"));
+    object.remove_element(tags::RESCALE_SLOPE);
+    object.remove_element(tags::RESCALE_INTERCEPT);
+    object.put(element(tags::DOSE_GRID_SCALING, VR::DS, "0.25"));
+    object.put(element(tags::NUMBER_OF_FRAMES, VR::IS, format!("{n}")));
+    object.extend(offsets);
+    save(object, &path);
+    read_image(&path).map_err(|error| error.to_string())
+}
+
+#[test]
+fn frames_with_offsets_are_placed_along_the_stack() {
+    let across = [DVec3::X, DVec3::Y];
+    // Prone on the other side: the normal goes to the feet.
+    let turned = [DVec3::X, -DVec3::Y];
+    let z = ORIGIN_MM.z;
+    for (axes, offsets_mm, is_reversed, last_mm) in [
+        (across, [0.0, 3.0, 6.0, 9.0], false, DVec3::Z * 9.0),
+        (across, [0.0, -3.0, -6.0, -9.0], true, DVec3::Z * -9.0),
+        (across, [z, z + 3.0, z + 6.0, z + 9.0], false, DVec3::Z * 9.0),
+        (turned, [0.0, 3.0, 6.0, 9.0], false, DVec3::Z * -9.0),
+        (turned, [z, z + 3.0, z + 6.0, z + 9.0], true, DVec3::Z * 9.0),
+        (directions(), [0.0, 3.0, 6.0, 9.0], false, directions()[0].cross(directions()[1]) * 9.0),
+    ] {
+        let image = dose(axes, Some(&offsets_mm)).unwrap();
+        assert_eq!(image.grid.dims, [2, 1, 4]);
+        let values = image.volume().values;
+        let (first, last) = if is_reversed { (3, 0) } else { (0, 3) };
+        for (frame, k, place_mm) in [(0, first, ORIGIN_MM), (3, last, ORIGIN_MM + last_mm)] {
+            let place = image.grid.position_m(DVec3::new(0.0, 0.0, k as f64)) * 1e3;
+            assert!(place.distance(place_mm) < 1e-9, "{offsets_mm:?}: frame {frame} at {place}");
+            // In gray: numbers times DoseGridScaling.
+            assert_eq!(values[2 * k], 0.25 * (100 + 2 * frame) as f32, "{offsets_mm:?}");
+        }
+    }
+}
+
+#[test]
+fn frames_without_places_or_at_uneven_ones_are_refused() {
+    let across = [DVec3::X, DVec3::Y];
+    for (axes, offsets_mm, words) in [
+        (
+            across,
+            Some(&[0.0, 3.0, 7.0, 10.0][..]),
+            &["uneven distances", "4.000 mm between dose.dcm, frame 2 and dose.dcm, frame 3"][..],
+        ),
+        (
+            across,
+            Some(&[0.0, 3.0, 6.0]),
+            &["GridFrameOffsetVector (tag (3004,000C)) is 3 numbers", "4 frames"],
+        ),
+        (across, Some(&[5.0, 8.0, 11.0, 14.0]), &["GridFrameOffsetVector", "begin with 0", "-30"]),
+        (directions(), Some(&[-30.0, -27.0, -24.0, -21.0]), &["GridFrameOffsetVector", "begin with 0"]),
+        (
+            across,
+            None,
+            &[
+                "PerFrameFunctionalGroupsSequence",
+                "GridFrameOffsetVector (3004,000C), which is missing too",
+                "NM and ultrasound",
+            ],
+        ),
+    ] {
+        let message = dose(axes, offsets_mm).unwrap_err();
+        for word in words {
+            assert!(message.contains(word), "`{word}` missing in: {message}");
+        }
+    }
+    // Of a program that did not know the element.
+    let unknown =
+        element(tags::GRID_FRAME_OFFSET_VECTOR, VR::UN, PrimitiveValue::from(b"0\\3\\6\\9 ".to_vec()));
+    let message = dose_with(across, Some(unknown)).unwrap_err();
+    assert!(message.contains("GridFrameOffsetVector (tag (3004,000C)) is of unknown kind (UN)"), "{message}");
 }

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use dicom_core::VR;
 use dicom_core::header::HasLength;
 use dicom_dictionary_std::tags;
 use dicom_object::{DefaultDicomObject, InMemDicomObject, Tag};
@@ -149,8 +150,13 @@ pub(super) fn frames_of(file: &Path, object: &DefaultDicomObject) -> Result<Vec<
     } as usize;
     let shared = first_item(object, tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE);
     let own = object.get(tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE).and_then(|element| element.items());
-    if n_frames > 1 && own.is_none_or(|items| items.len() != n_frames) {
-        let allowed = format!("one item a frame, {n_frames} (frames without a place are no volume)");
+    let offsets = if own.is_none() && n_frames > 1 { offsets_of(file, object, n_frames)? } else { None };
+    if n_frames > 1 && offsets.is_none() && own.is_none_or(|items| items.len() != n_frames) {
+        let allowed = format!(
+            "one item a frame, {n_frames}, or as many numbers in GridFrameOffsetVector (3004,000C), which is missing too: \
+             nothing says where each frame is, as in many NM and ultrasound files, and frames without a place are no \
+             volume"
+        );
         let tag = tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE;
         return Err(ImageError::Header {
             file: file.to_path_buf(),
@@ -163,9 +169,62 @@ pub(super) fn frames_of(file: &Path, object: &DefaultDicomObject) -> Result<Vec<
     let mut frames = Vec::with_capacity(n_frames);
     for index in 0..n_frames {
         let sources = Sources { file, object, groups: [own.and_then(|items| items.get(index)), shared] };
-        frames.push(sources.frame(index, dims)?);
+        let mut frame = sources.frame(index, dims)?;
+        if let Some(offsets) = &offsets {
+            frame.position_mm += place_of(file, object, &frame, offsets, index)?;
+        }
+        frames.push(frame);
     }
     Ok(frames)
+}
+
+/// Offsets of the frames of a file along its stack [mm], as RT doses have them (DICOM PS3.3, C.8.8.3.2).
+fn offsets_of(
+    file: &Path,
+    object: &InMemDicomObject,
+    n_frames: usize,
+) -> Result<Option<Vec<f64>>, ImageError> {
+    let tag = tags::GRID_FRAME_OFFSET_VECTOR;
+    let Some(element) = object.get(tag) else { return Ok(None) };
+    let offsets = element.to_multi_float64().unwrap_or_default();
+    if offsets.len() != n_frames || !offsets.iter().all(|offset| offset.is_finite()) {
+        // Programs that do not know an element write its bytes.
+        let found = match element.vr() {
+            VR::UN => "of unknown kind (UN)".into(),
+            _ => format!("{} numbers", offsets.len()),
+        };
+        return Err(ImageError::Header {
+            file: file.to_path_buf(),
+            field: "GridFrameOffsetVector".into(),
+            place: HeaderPlace::Tag { group: tag.group(), element: tag.element() },
+            found,
+            allowed: format!("one finite number in mm for each of the {n_frames} frames"),
+        });
+    }
+    Ok(Some(offsets))
+}
+
+/// From the place of the file to that of frame `index` [mm]. Offsets that begin with zero count along the normal of the
+/// planes from the file's place; others are the z of planes across the patient, the first that of the file's place.
+fn place_of(
+    file: &Path,
+    object: &InMemDicomObject,
+    frame: &Frame,
+    offsets: &[f64],
+    index: usize,
+) -> Result<DVec3, ImageError> {
+    let (normal, start_mm) = (frame.normal(), frame.position_mm.z);
+    if offsets[0] == 0.0 {
+        return Ok(normal * offsets[index]);
+    }
+    let is_across = normal.z.abs() > 1.0 - 1e-6;
+    if is_across && (offsets[0] - start_mm).abs() < 1e-2 {
+        return Ok(DVec3::Z * (offsets[index] - offsets[0]));
+    }
+    let allowed = format!(
+        "numbers that begin with 0, or, of planes across the patient, with the z of ImagePositionPatient, {start_mm}"
+    );
+    Err(wrong(file, object, tags::GRID_FRAME_OFFSET_VECTOR, "GridFrameOffsetVector", allowed))
 }
 
 impl Sources<'_> {
@@ -211,7 +270,9 @@ impl Sources<'_> {
         let between = self.optional(measures, tags::SPACING_BETWEEN_SLICES, "SpacingBetweenSlices")?;
         let thickness = self.optional(measures, tags::SLICE_THICKNESS, "SliceThickness")?;
         let values = tags::PIXEL_VALUE_TRANSFORMATION_SEQUENCE;
-        let slope = self.optional(values, tags::RESCALE_SLOPE, "RescaleSlope")?.unwrap_or(1.0);
+        // Doses have a scale of their own (DICOM PS3.3, C.8.8.3.4).
+        let dose = self.optional(values, tags::DOSE_GRID_SCALING, "DoseGridScaling")?;
+        let slope = dose.or(self.optional(values, tags::RESCALE_SLOPE, "RescaleSlope")?).unwrap_or(1.0);
         let intercept = self.optional(values, tags::RESCALE_INTERCEPT, "RescaleIntercept")?.unwrap_or(0.0);
         let size = |size: Option<f64>| size.map(f64::abs).filter(|&size| size > 0.0);
         let segment = self.with(tags::SEGMENT_IDENTIFICATION_SEQUENCE, tags::REFERENCED_SEGMENT_NUMBER);

@@ -20,17 +20,16 @@ async function settled(page: Page): Promise<void> {
   await page.waitForFunction(() => !document.getElementById("status")!.classList.contains("busy"), undefined, { timeout: 90_000 });
 }
 
-/** Every control has a name that a screen reader can say, and pictures have a text. */
-function withoutName(page: Page): Promise<string[]> {
-  return page.evaluate(() => {
-    const isNamed = (node: Element): boolean =>
-      (node.getAttribute("aria-label") ?? node.getAttribute("title") ?? "") !== "" ||
-      ((node as HTMLInputElement).labels?.length ?? 0) > 0 ||
-      (node.tagName === "BUTTON" && (node.textContent ?? "").trim() !== "");
-    const controls = [...document.querySelectorAll("button, input, select, [tabindex]")];
-    const pictures = [...document.querySelectorAll("img:not([alt])")];
-    return [...controls.filter((node) => !isNamed(node)), ...pictures].map((node) => node.outerHTML.slice(0, 90));
-  });
+/** What a screen reader could not say: what can be focused, and pictures, without a name in the browser's accessibility tree. */
+async function withoutName(page: Page): Promise<string[]> {
+  const session = await page.context().newCDPSession(page);
+  const { nodes } = await session.send("Accessibility.getFullAXTree");
+  const isSilent = ({ ignored, role, name, properties }: (typeof nodes)[number]): boolean => {
+    const canFocus = properties?.some((property) => property.name === "focusable" && property.value.value === true) ?? false;
+    const isPage = role?.value === "RootWebArea";
+    return !ignored && !isPage && (canFocus || role?.value === "image") && (name?.value ?? "") === "";
+  };
+  return nodes.filter(isSilent).map(({ role, nodeId }) => `${role?.value} ${nodeId}`);
 }
 
 /** The picture of the tetrahedra, once it is another one than before. */

@@ -20,6 +20,7 @@ mod indentation;
 mod interaction;
 mod mesh_repair;
 mod model_rheology;
+mod organs;
 mod palpation;
 mod passivity;
 mod precomputed_cutting;
@@ -253,6 +254,7 @@ pub const GROUPS: &[Group] = &[
     Group::new("hybrid", "Zones that exchange forces: convergence, cost, frontiers with tensor-mass, cuts.", hybrid::experiments),
     Group::new("hybrid_condensed", "Pre-computed and dynamic zones, exactly coupled: error against processor time.", hybrid_condensed::experiments),
     Group::new("image", "From the image to the organ.", image::experiments),
+    Group::new("organs", "Six organs in one mesh: interfaces, volumes, angles, a small tumour, time up to a million tetrahedra.", organs::experiments),
 ];
 
 /// Groups of some minutes each, which run only when they are asked for.

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { aspect, moved, pointAt, shareOf, type Box } from "../src/patient/planes";
+import { aspect, isOneSlice, middleVoxel, moved, pointAt, shareOf, type Box } from "../src/patient/planes";
 import type { PlaneName, Point } from "../src/patient/state";
 
 const BOX: Box = { from_mm: [-100, -50, 10], to_mm: [100, 70, 250] };
@@ -32,5 +32,22 @@ describe("planes", () => {
   it("have the image's proportions", () => {
     expect(aspect("axial", BOX)).toBeCloseTo(200 / 120);
     expect(aspect("sagittal", BOX)).toBeCloseTo(120 / 240);
+  });
+
+  it("know which slice of the image a point is in, by the nearest middle", () => {
+    const n = 145;
+    const box: Box = { from_mm: [-191.25, -110.25, -216.3471], to_mm: [191.25, 110.25, -216.3471 + 1.5 * (n - 1)] };
+    const image = (z: number): { box: Box; steps_mm: Point; at_mm: Point } => ({ box, steps_mm: [1.5, 1.5, 1.5], at_mm: [0, 0, z] });
+    for (let k = 0; k < n; k++) {
+      const middle = -216.3471 + 1.5 * k;
+      // As the server writes it.
+      const told: Point = [3, 4, Math.round(100 * middle) / 100];
+      for (const off of [-0.7, 0, 0.7]) expect(isOneSlice("axial", image(middle + off), told)).toBe(true);
+      for (const off of [-0.8, 0.8, 1.5]) expect(isOneSlice("axial", image(middle + off), told)).toBe(false);
+    }
+    const [, , z] = middleVoxel(box, [1.5, 1.5, 1.5]);
+    expect((z - box.from_mm[2]) / 1.5).toBeCloseTo(72, 9);
+    const even = middleVoxel({ from_mm: [0, 0, 0], to_mm: [1, 3, 5] }, [1, 1, 1]);
+    expect(even).toEqual([1, 2, 3]);
   });
 });

@@ -53,20 +53,23 @@ export class Inputs {
     [this.method, this.points, this.byHand] = [said.method, [...said.points], [...said.byHand]];
   }
 
-  /** Closes the outline that is being drawn; answers what is wrong with it, if something is. */
-  finish(): string | null {
+  /** Closes the outline that is being drawn, beside others that are in its slice; answers what is wrong with it, if something is. */
+  finish(isInSlice: (outline: Outline) => boolean): string | null {
     const [first] = this.draft;
     if (first === undefined || this.draft.length < LEAST_CORNERS) {
       return `an outline has ${LEAST_CORNERS} corners at least, this one has ${this.draft.length}`;
     }
+    // The organ is in the slice after all.
+    this.byHand = this.byHand.filter((outline) => outline.points_mm.length > 0 || !isInSlice(outline));
     this.byHand.push({ through_mm: first, points_mm: this.draft });
     this.draft = [];
     return null;
   }
 
-  /** Says that the organ is not in the slice of a point. */
-  leaveOut(through_mm: Point): void {
+  /** Says that the organ is not in the slice of a point, whatever was drawn there. */
+  leaveOut(through_mm: Point, isInSlice: (outline: Outline) => boolean): void {
     this.draft = [];
+    this.byHand = this.byHand.filter((outline) => !isInSlice(outline));
     this.byHand.push({ through_mm, points_mm: [] });
   }
 }

@@ -4,7 +4,7 @@ import "./patient.css";
 import { facts, item, named, options, part } from "./dom";
 import { droppedFiles, imageFiles } from "./drop";
 import { OrganSection } from "./organs";
-import { clamped, normalAxis, type Box } from "./planes";
+import { clamped, middleVoxel, normalAxis, type Box } from "./planes";
 import { fetchState, post, sendFiles, sliceAddress, type ImageSummary, type PatientState, type PlaneName, type Point, type Step } from "./state";
 import { TetrahedraSection } from "./tetrahedra";
 import { PlaneView, type Cross, type PlaneHandlers } from "./view";
@@ -55,8 +55,7 @@ function showPlanes(): void {
 
 function setUpImage(image: ImageSummary): void {
   const box: Box = { from_mm: image.from_mm, to_mm: image.to_mm };
-  const middle = image.from_mm.map((x, i) => 0.5 * (x + image.to_mm[i]!)) as unknown as Point;
-  cross = { box, steps_mm: image.steps_mm, at_mm: middle };
+  cross = { box, steps_mm: image.steps_mm, at_mm: middleVoxel(box, image.steps_mm) };
   window_ = [...image.window];
   const [least, most] = image.values;
   const range = (id: string, min: number, max: number, value: number): void => {
@@ -261,10 +260,10 @@ document.addEventListener("drop", (event) => {
   if (event.dataTransfer !== null) droppedFiles(event.dataTransfer).then(take, complainOf);
 });
 document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.altKey || event.metaKey) return;
-  if (event.key === "Escape" && state?.job != null) void step("cancel", {});
   const { target } = event;
   const isTyping = (target instanceof HTMLInputElement && ["number", "text"].includes(target.type)) || target instanceof HTMLSelectElement;
-  if (!isTyping && state?.image != null) organs.key(event.key.toLowerCase());
+  if (isTyping || event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
+  if (event.key === "Escape" && state?.job != null) void step("cancel", {});
+  if (state?.image != null) organs.key(event.key.toLowerCase());
 });
 void ask();

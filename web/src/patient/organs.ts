@@ -29,6 +29,7 @@ export class OrganSection {
     });
     part("another").addEventListener("click", () => this.lookForAnother());
     part("label").addEventListener("change", () => this.nameByLabel());
+    part("name").addEventListener("change", () => this.rename());
     part("method").addEventListener("change", (event) => {
       this.inputs.method = (event.target as HTMLSelectElement).value as Method;
       this.showInputs();
@@ -98,14 +99,20 @@ export class OrganSection {
     this.showInputs();
   }
 
+  /** Whether an outline is in the slice of a point. */
+  private readonly inSliceOf = (point: Point | undefined) => ({ through_mm }: Outline): boolean => {
+    const cross = this.host.cross();
+    return cross !== null && point !== undefined && isOneSlice(this.planeOfSlices(), { ...cross, at_mm: point }, through_mm);
+  };
+
   finish(): void {
-    this.host.complain(this.inputs.finish());
+    this.host.complain(this.inputs.finish(this.inSliceOf(this.inputs.draft[0])));
     this.showInputs();
   }
 
   private leaveOut(): void {
-    const cross = this.host.cross();
-    if (cross !== null) this.inputs.leaveOut(cross.at_mm);
+    const at_mm = this.host.cross()?.at_mm;
+    if (at_mm !== undefined) this.inputs.leaveOut(at_mm, this.inSliceOf(at_mm));
     this.showInputs();
   }
 
@@ -128,14 +135,17 @@ export class OrganSection {
   /** Shows what is said of the organ that is looked for. */
   private showInputs(): void {
     const { points, byHand, method } = this.inputs;
-    const removed = (list: unknown[], number: number) => () => {
+    const removed = (id: string, list: unknown[], number: number) => () => {
       list.splice(number, 1);
       this.showInputs();
+      // The keyboard goes on at what took the place of what was removed.
+      const buttons = part(id).querySelectorAll<HTMLButtonElement>("li button:last-child");
+      (buttons[Math.min(number, buttons.length - 1)] ?? part("find")).focus();
     };
     part("points").replaceChildren(
       ...points.map(({ at_mm, kind }, number) => {
         const words = `${kind} ${at_mm.map((x) => x.toFixed(1)).join(", ")} mm`;
-        const node = item(words, [{ text: "remove", name: `remove the point ${words}`, press: removed(points, number) }]);
+        const node = item(words, [{ text: "remove", name: `remove the point ${words}`, press: removed("points", points, number) }]);
         node.className = kind;
         return node;
       }),
@@ -145,7 +155,7 @@ export class OrganSection {
         const words = outlineWords(outline, this.planeOfSlices());
         return item(words, [
           { text: "go", name: `go to ${words}`, press: () => this.goToSlice(outline.through_mm) },
-          { text: "remove", name: `remove ${words}`, press: removed(byHand, number) },
+          { text: "remove", name: `remove ${words}`, press: removed("outlines", byHand, number) },
         ]);
       }),
     );
@@ -172,8 +182,19 @@ export class OrganSection {
   /** Goes on with an organ that was found, or begins with another one. */
   private lookFor(name: string): void {
     part<HTMLInputElement>("name").value = name;
+    this.found = [];
     this.inputs.recall(name);
     this.showInputs();
+    this.show();
+  }
+
+  /** Another name is another organ: one that was found, or one that begins with what was said of the last. */
+  private rename(): void {
+    if (this.host.state()?.organs.some(({ name }) => name === this.name()) ?? false) {
+      this.lookFor(this.name());
+      return;
+    }
+    this.found = [];
     this.show();
   }
 

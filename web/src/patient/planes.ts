@@ -81,13 +81,18 @@ export function aspect(plane: PlaneName, box: Box): number {
   return size(right) / size(down);
 }
 
+/** The middle of the image, in the middle of a voxel: there the cross is in one slice alone. */
+export function middleVoxel(box: Box, steps_mm: Point): Point {
+  return box.from_mm.map((from, axis) => {
+    const last = Math.round((box.to_mm[axis]! - from) / steps_mm[axis]!);
+    return from + Math.round(0.5 * last) * steps_mm[axis]!;
+  }) as unknown as Point;
+}
+
 /** Whether two points are in one slice of the image, where its slices are parallel to the plane. */
 export function isOneSlice(plane: PlaneName, image: { readonly box: Box; readonly steps_mm: Point; readonly at_mm: Point }, other_mm: Point): boolean {
   const axis = normalAxis(plane);
-  const sliceOf = (point: Point): number => {
-    const slice = Math.floor((point[axis]! - image.box.from_mm[axis]!) / image.steps_mm[axis]!);
-    const last = Math.round((image.box.to_mm[axis]! - image.box.from_mm[axis]!) / image.steps_mm[axis]!) - 1;
-    return Math.min(slice, last);
-  };
+  // The box goes from the middles of the first voxels to those of the last.
+  const sliceOf = (point: Point): number => Math.round((point[axis]! - image.box.from_mm[axis]!) / image.steps_mm[axis]!);
   return sliceOf(image.at_mm) === sliceOf(other_mm);
 }

@@ -168,7 +168,8 @@ fn small_organs_get_their_tetrahedra_in_a_coarse_mesh() {
     let in_ball = |p: DVec3| p.distance(center_m) < 0.012;
     let beyond = |p: DVec3| p.distance(center_m) > 0.06;
     let ratio = mean_m3(&around_ball, &beyond) / mean_m3(&around_ball, &in_ball);
-    assert!((4.0..10.0).contains(&ratio), "{ratio}");
+    // Eight times as large, but for those at the surface.
+    assert!((3.0..10.0).contains(&ratio), "{ratio}");
 }
 
 #[test]

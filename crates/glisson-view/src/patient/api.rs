@@ -23,8 +23,8 @@ use std::sync::Arc;
 use super::image::{Image, series_of};
 use super::mesh_picture::{Colours, MeshView};
 use super::organ::OrganChoice;
-use super::scene::{MESH_NAME, SCENE_NAME, SceneChoice};
-use super::steps::{OpenSimulation, Shared, Source, Steps, begin};
+use super::scene::{SCENE_NAME, SceneChoice, meshes_in};
+use super::steps::{OpenSimulation, Shared, Source, Steps, begin, still};
 use super::tetrahedra::Meshed;
 use super::upload::Upload;
 use crate::picture::SlicePlane;
@@ -67,7 +67,7 @@ struct Named {
 fn open(shared: &Arc<Shared>, choice: &OpenChoice) -> Response {
     let OpenChoice { upload, series: chosen } = *choice;
     let before = shared.steps().source.clone();
-    begin(shared, "reading the image", move |shared| {
+    let answer = begin(shared, "reading the image", move |shared| {
         let earlier = before.as_ref().and_then(|source| source.upload);
         let source = match (upload, before) {
             (Some(number), _) => Source { path: shared.upload.image(number)?, upload },
@@ -76,9 +76,13 @@ fn open(shared: &Arc<Shared>, choice: &OpenChoice) -> Response {
                 Source { path: shared.image.clone().context("there is no image yet")?, upload: None }
             }
         };
+        let forget = |upload: Option<u64>| upload.iter().for_each(|number| shared.upload.forget(*number));
+        // Where the step is cancelled, files that came for it go too.
+        let incoming =
+            Forgotten { upload: &shared.upload, number: source.upload.filter(|_| earlier != source.upload) };
         let read = part(0.0, 0.9, || Image::read(&source.path, chosen));
         let series = series_of(&source.path);
-        let forget = |upload: Option<u64>| upload.iter().for_each(|number| shared.upload.forget(*number));
+        incoming.keep();
         let image = match read {
             Ok(image) => Some(Arc::new(image)),
             // The page asks which.
@@ -103,7 +107,30 @@ fn open(shared: &Arc<Shared>, choice: &OpenChoice) -> Response {
             (steps.series, steps.source) = (series, Some(source));
             take_image(steps, image);
         }))
-    })
+    });
+    // Files that nobody reads are not kept.
+    if answer.status() == StatusCode::CONFLICT {
+        upload.iter().for_each(|number| shared.upload.forget(*number));
+    }
+    answer
+}
+
+/// Forgets what came of an image, unless it is kept.
+struct Forgotten<'a> {
+    upload: &'a Upload,
+    number: Option<u64>,
+}
+
+impl Forgotten<'_> {
+    fn keep(mut self) {
+        self.number = None;
+    }
+}
+
+impl Drop for Forgotten<'_> {
+    fn drop(&mut self) {
+        self.number.iter().for_each(|number| self.upload.forget(*number));
+    }
 }
 
 fn take_image(steps: &mut Steps, image: Option<Arc<Image>>) {
@@ -262,7 +289,12 @@ async fn keep(
 
 /// The number that the files of a new image are to come with.
 async fn begin_upload(State(shared): State<Arc<Shared>>) -> Response {
-    axum::Json(json!({"upload": shared.upload.begin()})).into_response()
+    // What is being read must not go.
+    if let Some(what) = shared.running() {
+        return still(what);
+    }
+    let in_use = shared.steps().source.as_ref().and_then(|source| source.upload);
+    axum::Json(json!({"upload": shared.upload.begin(in_use)})).into_response()
 }
 
 type Asked<T> = (State<Arc<Shared>>, axum::Json<T>);
@@ -304,7 +336,8 @@ fn router(shared: Arc<Shared>, access: Access) -> Router {
 
 /// Refuses a folder that holds what the page would write: it is of another patient, or somebody's own.
 fn refuse_other_files(folder: &Path) -> anyhow::Result<()> {
-    match [MESH_NAME, SCENE_NAME].into_iter().map(|name| folder.join(name)).find(|path| path.exists()) {
+    let scene = Some(folder.join(SCENE_NAME)).filter(|path| path.exists());
+    match meshes_in(folder).into_iter().chain(scene).next() {
         Some(path) => anyhow::bail!("{} is there already; take another folder with --out", path.display()),
         None => Ok(()),
     }

@@ -64,6 +64,8 @@ pub(super) const HELD: [Held; 7] = [
 ];
 /// The mesh of an organ that is alone, beside its scene.
 pub(super) const MESH_NAME: &str = "organ.vtu";
+/// With a number, those of several bodies.
+const MESH_PREFIX: &str = "organ-";
 /// The scene that the page writes.
 pub(super) const SCENE_NAME: &str = "scene.toml";
 /// Share of the nodes that is held: a choice, that of the demo.
@@ -121,10 +123,18 @@ impl SceneChoice {
              glisson_scene = 1\nname = \"A patient's organs\"\n\n",
         );
         text += &format!("[simulation]\ntime_step = \"{}\"\n", model.time_step);
+        remove_meshes(folder)?;
+        let mut body_names: Vec<String> = Vec::new();
         for (number, body) in (1..).zip(bodies) {
-            let mesh_name = if bodies.len() == 1 { MESH_NAME.into() } else { format!("organ-{number}.vtu") };
+            let mesh_name =
+                if bodies.len() == 1 { MESH_NAME.into() } else { format!("{MESH_PREFIX}{number}.vtu") };
             let body = BodyText { body, mesh_name, names, tissues: &tissues, model, held };
-            text += &body.text(bodies.len() > 1)?;
+            // An organ in several pieces is several bodies.
+            let name = body.name();
+            let n_before = body_names.iter().filter(|known| **known == name).count();
+            let own_name = if n_before > 0 { format!("{name}, part {}", n_before + 1) } else { name.clone() };
+            body_names.push(name);
+            text += &body.text((bodies.len() > 1).then_some(&own_name))?;
             let label_of: Vec<i32> = body.body.label_of.iter().map(|&label| i32::from(label)).collect();
             let values = FieldValues::Integers(&label_of);
             let field = VtuField { name: LABEL_FIELD, place: FieldPlace::Tets, values };
@@ -136,6 +146,27 @@ impl SceneChoice {
             .with_context(|| path.display().to_string())?;
         Ok(path)
     }
+}
+
+/// Files of meshes in a folder that the page writes, as it names them.
+pub(super) fn meshes_in(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let is_mesh = |name: &str| {
+        let number = name.strip_prefix(MESH_PREFIX).and_then(|rest| rest.strip_suffix(".vtu"));
+        name == MESH_NAME || number.is_some_and(|number| number.parse::<u32>().is_ok())
+    };
+    entries
+        .filter(|entry| entry.file_name().to_str().is_some_and(is_mesh))
+        .map(|entry| entry.path())
+        .collect()
+}
+
+/// Removes what a start before wrote: of it there may have been more bodies.
+fn remove_meshes(folder: &Path) -> anyhow::Result<()> {
+    for path in meshes_in(folder) {
+        std::fs::remove_file(&path).with_context(|| path.display().to_string())?;
+    }
+    Ok(())
 }
 
 /// As TOML writes it: its strings with escapes are those of JSON.
@@ -152,8 +183,15 @@ impl BodyText<'_> {
         self.tissues[usize::from(label) - 1]
     }
 
-    /// The body's tables. Its largest organ gives the tissue, other ones are parts of it where theirs differs.
-    fn text(&self, is_one_of_several: bool) -> anyhow::Result<String> {
+    /// The names of its organs.
+    fn name(&self) -> String {
+        let names: Vec<&str> = self.body.labels.iter().map(|&label| self.name_of(label)).collect();
+        names.join(" with ")
+    }
+
+    /// The body's tables; with its name where it is one of several. Its largest organ gives the tissue, other ones are parts of it where
+    /// theirs differs.
+    fn text(&self, own_name: Option<&str>) -> anyhow::Result<String> {
         let labels = &self.body.labels;
         let largest = *labels.first().context("a body without an organ")?;
         let tissue = self.tissue_of(largest);
@@ -167,10 +205,9 @@ impl BodyText<'_> {
             self.model.name
         );
         let ModelOffer { name, law, .. } = self.model;
-        let mut text = String::from(if is_one_of_several { "\n[[organ]]\n" } else { "\n[organ]\n" });
-        if is_one_of_several {
-            let names: Vec<&str> = labels.iter().map(|&label| self.name_of(label)).collect();
-            text += &format!("name = {}\n", quoted(&names.join(" with ")));
+        let mut text = String::from(if own_name.is_some() { "\n[[organ]]\n" } else { "\n[organ]\n" });
+        if let Some(name) = own_name {
+            text += &format!("name = {}\n", quoted(name));
         }
         text += &format!("mesh = \"{}\"\ntissue = \"{tissue}\"\nmodel = \"{name}\"\n", self.mesh_name);
         text += &law.map_or_else(String::new, |law| format!("law = \"{law}\"\n"));
@@ -263,11 +300,13 @@ mod tests {
 
     #[test]
     fn organs_become_parts_where_they_hang_together_and_bodies_where_not() {
-        let bodies = [body([1, 2], DVec3::ZERO), body([3, 3], DVec3::new(0.1, 0.0, 0.0))];
+        let aside_m = DVec3::new(0.1, 0.0, 0.0);
+        // The third organ is in two pieces.
+        let bodies = [body([1, 2], DVec3::ZERO), body([3, 3], aside_m), body([3, 3], 2.0 * aside_m)];
         let tissues: Vec<String> = ["liver", "gall_bladder", "liver"].map(String::from).to_vec();
         let choice = SceneChoice { tissues: tissues.clone(), ..SceneChoice::default() };
         let text = built(&choice, &names(3), &bodies).unwrap();
-        assert_eq!(text.matches("[[organ]]").count(), 2);
+        assert_eq!(text.matches("[[organ]]").count(), 3);
         assert_eq!(text.matches("[[organ.part]]").count(), 1);
         assert!(text.contains("label = 2\ntissue = \"gall_bladder\""), "{text}");
         let choice = SceneChoice { tissues, model: Some("precomputed".into()), ..SceneChoice::default() };

@@ -86,6 +86,11 @@ impl Shared {
         self.steps.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// What runs.
+    pub(super) fn running(&self) -> Option<&'static str> {
+        self.steps().job.as_ref().map(|job| job.what)
+    }
+
     /// Breaks the step that runs off, where it next tells how far it is.
     pub(super) fn cancel(&self) {
         if let Some(job) = &self.steps().job {
@@ -154,6 +159,11 @@ impl Job {
     }
 }
 
+/// The answer while a step runs.
+pub(super) fn still(what: &str) -> Response {
+    (StatusCode::CONFLICT, format!("still {what}: wait, or cancel it\n")).into_response()
+}
+
 /// Begins a step, unless one runs. The answer comes at once, what became of it with the state.
 pub(super) fn begin(
     shared: &Arc<Shared>,
@@ -169,7 +179,7 @@ pub(super) fn begin(
     {
         let mut steps = shared.steps();
         if let Some(running) = &steps.job {
-            return (StatusCode::CONFLICT, format!("still {}\n", running.what)).into_response();
+            return still(running.what);
         }
         if steps.simulation.is_some() {
             return (StatusCode::CONFLICT, "the simulation starts\n").into_response();

@@ -93,10 +93,12 @@ impl Meshed {
     /// Several: one mesh that shares the faces between them.
     fn of_several(map: &LabelMap, names: Vec<String>, n_tets: usize) -> anyhow::Result<Self> {
         let labels: Vec<u16> = map.names.iter().map(|(label, _)| *label).collect();
+        // Not more in all than are asked for.
+        let least_tetrahedra = LEAST_OF_EACH.min(n_tets / (2 * labels.len()));
         let params = OrganMeshParams {
             labels,
             size: OrganSize::Tetrahedra(n_tets),
-            grading: Grading { least_tetrahedra: LEAST_OF_EACH, ..Grading::default() },
+            grading: Grading { least_tetrahedra, ..Grading::default() },
         };
         let OrganMesh { mesh, label_of, report, .. } =
             mesh_organs(map, &params).context("filling the organs with tetrahedra")?;
@@ -189,10 +191,15 @@ fn without_crumbs(mesh: TetMesh, label_of: Vec<u16>) -> anyhow::Result<(TetMesh,
     for (t, (&label, &piece)) in label_of.iter().zip(&pieces.of_tet).enumerate() {
         of_piece[piece as usize][usize::from(label) - 1] += mesh.tet_volume_m3(TetId::from_index(t));
     }
-    let is_kept: Vec<bool> = of_piece
+    let mut is_kept: Vec<bool> = of_piece
         .iter()
         .map(|volumes_m3| volumes_m3.iter().zip(&of_all).any(|(here, all)| *here > LEAST_SHARE * all))
         .collect();
+    // An organ that is nothing but crumbs keeps the largest.
+    for label in 0..n_labels {
+        let largest = (0..of_piece.len()).max_by(|&a, &b| of_piece[a][label].total_cmp(&of_piece[b][label]));
+        largest.into_iter().for_each(|piece| is_kept[piece] = true);
+    }
     let n_crumbs = is_kept.iter().filter(|kept| !**kept).count();
     if n_crumbs == 0 {
         return Ok((mesh, label_of, 0));

@@ -26,9 +26,12 @@ impl Upload {
         Self { folder, current: Mutex::new((0, 0)) }
     }
 
-    /// A new image begins; answers its number.
-    pub(super) fn begin(&self) -> u64 {
+    /// A new image begins; answers its number. What came before is deleted, unless it is in use: its page may be gone.
+    pub(super) fn begin(&self, in_use: Option<u64>) -> u64 {
         let mut current = self.current.lock().unwrap_or_else(PoisonError::into_inner);
+        if in_use != Some(current.0) {
+            self.forget(current.0);
+        }
         *current = (current.0 + 1, 0);
         current.0
     }
@@ -167,7 +170,7 @@ mod tests {
         let parent = tempfile::tempdir().unwrap();
         let folder = parent.path().join("incoming");
         let upload = Upload::new(folder.clone());
-        let first = upload.begin();
+        let first = upload.begin(None);
         assert!(upload.image(first).is_err());
         let long = format!("{}.dcm", "n".repeat(300));
         for (name, kept) in [
@@ -195,12 +198,16 @@ mod tests {
         drop(upload.create(first, "half").unwrap());
         assert!(!folder.join("1/half").exists());
 
-        let second = upload.begin();
+        let second = upload.begin(Some(first));
         assert!(keep(&upload, first, "late").is_err());
         keep(&upload, second, "only.nrrd").unwrap();
         assert_eq!(upload.image(second).unwrap(), folder.join("2/only.nrrd"));
         upload.forget(second);
         assert!(!folder.join("2").exists() && folder.join("1").exists());
+        keep(&upload, second, "left").unwrap();
+        let third = upload.begin(Some(first));
+        assert!(!folder.join("2").exists() && folder.join("1").exists());
+        assert!(upload.begin(None) > third);
         drop(upload);
         assert!(!folder.exists());
     }

@@ -13,12 +13,12 @@ pub(super) enum Background {
 }
 
 impl Background {
-    /// `lattice`, which has the largest cells, refined to `size`.
-    pub(super) fn new(lattice: Lattice, size: &CellSize<'_>) -> Self {
+    /// `lattice`, which has the largest cells, refined to `size`; none where that would be too many tetrahedra.
+    pub(super) fn new(lattice: Lattice, size: &CellSize<'_>) -> Option<Self> {
         if size.is_even() {
-            return Self::Even(lattice);
+            return Some(Self::Even(lattice));
         }
-        Self::Graded(Box::new(graded(&lattice, size)), lattice.cell_m)
+        Some(Self::Graded(Box::new(graded(&lattice, size)?), lattice.cell_m))
     }
 
     pub(super) fn n_nodes(&self) -> usize {

@@ -20,6 +20,9 @@ const TOLERATED: f64 = std::f64::consts::SQRT_2;
 /// longest edge, that of the lattice's a half.
 const CELL_OVER_LONGEST_EDGE: f64 = 0.7;
 
+/// Tetrahedra that are made at most, halved ones included: these take some 10 GB on the way.
+pub(super) const MOST_BISECTED: usize = 30_000_000;
+
 /// The corners of a tetrahedron's edges.
 const EDGES: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
 
@@ -56,8 +59,8 @@ struct Bisector<'a> {
     around: HashMap<Edge, Vec<u32>>,
 }
 
-/// The lattice, refined to `size`.
-pub(super) fn graded(lattice: &Lattice, size: &CellSize<'_>) -> Graded {
+/// The lattice, refined to `size`; none where that would take more than [`MOST_BISECTED`] tetrahedra.
+pub(super) fn graded(lattice: &Lattice, size: &CellSize<'_>) -> Option<Graded> {
     let mut bisector = Bisector {
         lattice,
         coordinates: (0..lattice.n_nodes())
@@ -74,12 +77,15 @@ pub(super) fn graded(lattice: &Lattice, size: &CellSize<'_>) -> Graded {
     // Those that come are looked at in their turn.
     let mut tet = 0;
     while tet < bisector.tets.len() {
+        if bisector.tets.len() > MOST_BISECTED {
+            return None;
+        }
         while bisector.is_alive[tet] && bisector.is_too_large(tet, size) {
             bisector.halve(tet);
         }
         tet += 1;
     }
-    bisector.finish()
+    Some(bisector.finish())
 }
 
 impl Bisector<'_> {
@@ -96,8 +102,13 @@ impl Bisector<'_> {
         self.is_alive[tet as usize] = false;
         let nodes = self.tets[tet as usize];
         for [a, b] in EDGES {
-            if let Some(around) = self.around.get_mut(&edge(nodes[a], nodes[b])) {
+            let edge = edge(nodes[a], nodes[b]);
+            let around = self.around.get_mut(&edge).map(|around| {
                 around.retain(|&other| other != tet);
+                around.len()
+            });
+            if around == Some(0) {
+                self.around.remove(&edge);
             }
         }
     }
@@ -218,7 +229,7 @@ mod tests {
         let lattice = Lattice { dims: [9; 3], cell_m: 0.01, origin_m: DVec3::ZERO };
         let ball = FinerBall { center_m: DVec3::splat(0.042), radius_m: 0.006, factor };
         let places = FinePlaces::of_balls(vec![ball]);
-        let graded = graded(&lattice, &CellSize::new(0.01, &places));
+        let graded = graded(&lattice, &CellSize::new(0.01, &places)).unwrap();
         (lattice, graded)
     }
 

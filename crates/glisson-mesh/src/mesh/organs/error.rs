@@ -61,6 +61,19 @@ pub enum OrganMeshError {
         /// Smallest cell that would do [mm].
         least_cell_mm: f64,
     },
+    /// Smaller cells in places would be too many.
+    #[error(
+        "cells of {cell_mm} mm that are smaller in places take more than {allowed} tetrahedra on the way for {volume_ml} ml: take \
+         larger cells, or let fewer places have smaller ones, or not so much smaller"
+    )]
+    TooFine {
+        /// The largest lattice cell [mm].
+        cell_mm: f64,
+        /// Volume of all organs [ml].
+        volume_ml: f64,
+        /// Largest number allowed.
+        allowed: usize,
+    },
     /// The lattice over all organs would be too large.
     #[error(
         "the box around all labels would take {estimated} lattice nodes at cells of {cell_mm} mm, at most {allowed} are \

@@ -1,6 +1,7 @@
 //! Regions of the nodes of a body-centred cubic lattice over all organs.
 
 use super::background::Background;
+use super::bisection::MOST_BISECTED;
 use super::cell_size::CellSize;
 use super::error::OrganMeshError;
 use super::field::ShareField;
@@ -82,7 +83,10 @@ impl Labelling {
         size: &CellSize<'_>,
     ) -> Result<Self, OrganMeshError> {
         let cell_m = size.largest_m();
-        let lattice = Background::new(lattice_over(regions, cell_m)?, size);
+        let lattice = Background::new(lattice_over(regions, cell_m)?, size).ok_or_else(|| {
+            let volume_ml = 1e6 * regions.volumes_m3().iter().sum::<f64>();
+            OrganMeshError::TooFine { cell_mm: 1e3 * cell_m, volume_ml, allowed: MOST_BISECTED }
+        })?;
         let n_regions = regions.n_regions();
         let n_nodes = lattice.n_nodes();
         let chunks: Vec<Chunk> = (0..n_nodes.div_ceil(CHUNK_NODES))
@@ -273,16 +277,20 @@ fn balanced_levels(
         for (node, &region) in of_nodes.iter().enumerate() {
             count[usize::from(region)] += lattice.weight(node);
         }
-        let mut n_near = vec![0.0; n];
+        let (mut n_near, mut nodes_near) = (vec![0.0; n], vec![0usize; n]);
         for node in mixed {
             let (first, second, lead) = node.leader(&levels);
             if lead < NEAR {
-                n_near[usize::from(first)] += lattice.weight(node.node);
-                n_near[usize::from(second)] += lattice.weight(node.node);
+                for region in [first, second].map(usize::from) {
+                    n_near[region] += lattice.weight(node.node);
+                    nodes_near[region] += 1;
+                }
             }
         }
         for region in 1..n {
-            let nodes_per_level = n_near[region] / (2.0 * NEAR) + 1.0;
+            let a_node =
+                if nodes_near[region] > 0 { n_near[region] / nodes_near[region] as f64 } else { 1.0 };
+            let nodes_per_level = n_near[region] / (2.0 * NEAR) + a_node;
             let change = 0.7 * (wanted[region - 1] - count[region]) / nodes_per_level;
             let level = levels[region] + change.clamp(-LARGEST_BALANCE_CHANGE, LARGEST_BALANCE_CHANGE);
             levels[region] = level.clamp(-LARGEST_LEVEL, LARGEST_LEVEL);

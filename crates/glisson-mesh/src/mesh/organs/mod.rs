@@ -52,7 +52,7 @@ use self::fit::Fit;
 use self::interface_faces::interface_faces;
 use self::levels::Levels;
 use self::regions::RegionGrid;
-use self::sizing::{Sized, sized};
+use self::sizing::{SHARE_OF_TRIALS, Sized, sized};
 use super::{NodeId, TetMesh};
 use crate::image::LabelMap;
 use crate::progress::tell;
@@ -80,7 +80,7 @@ const N_SWEEPS: usize = 12;
 const N_FREE_SWEEPS: usize = 2;
 
 /// Part of the progress that the first steps take.
-const PROGRESS_BEFORE_SWEEPS: f64 = 0.1;
+const PROGRESS_BEFORE_SWEEPS: f64 = SHARE_OF_TRIALS + 0.05;
 
 /// Meshes the organs of `map` together.
 ///
@@ -143,6 +143,11 @@ fn check_grading(grading: &Grading) -> Result<(), OrganMeshError> {
     let factors = grading.finer_at_surface.into_iter().chain(grading.balls.iter().map(|ball| ball.factor));
     if let Some(factor) = factors.into_iter().find(|factor| !(1.0..=MAX_FINER).contains(factor)) {
         return wrong("by how much cells are finer", factor.to_string(), format!("1 to {MAX_FINER}"));
+    }
+    let least = grading.least_tetrahedra;
+    if least > MAX_ORGAN_TETRAHEDRA {
+        let allowed = format!("0 to {MAX_ORGAN_TETRAHEDRA}");
+        return wrong("the least number of tetrahedra of an organ", least.to_string(), allowed);
     }
     let is_ball =
         |ball: &&FinerBall| ball.center_m.is_finite() && ball.radius_m.is_finite() && ball.radius_m >= 0.0;

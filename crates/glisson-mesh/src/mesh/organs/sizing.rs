@@ -7,9 +7,13 @@ use super::labelling::Labelling;
 use super::params::{MAX_ORGAN_TETRAHEDRA, MIN_ORGAN_TETRAHEDRA, OrganSize};
 use super::regions::RegionGrid;
 use crate::mesh::stuffing::TETRAHEDRON_OVER_CELL;
+use crate::progress::tell;
 
 /// The search for the cell stops at this relative difference of the number of tetrahedra.
 const COUNT_GOAL: f64 = 0.02;
+
+/// Part of all work that the trials take at most.
+pub(super) const SHARE_OF_TRIALS: f64 = 0.3;
 
 /// Cells tried at most.
 const MOST_TRIALS: usize = 10;
@@ -69,7 +73,8 @@ fn with_count(regions: &RegionGrid, wanted: f64, places: &FinePlaces) -> Result<
     let mut cell_m = 1.3 * libm::cbrt(total_m3(regions) / TETRAHEDRON_OVER_CELL / wanted);
     let mut best: Option<(f64, Sized)> = None;
     let mut trial_before: Option<(f64, f64)> = None;
-    for _ in 0..MOST_TRIALS {
+    for trial in 0..MOST_TRIALS {
+        tell(SHARE_OF_TRIALS * trial as f64 / MOST_TRIALS as f64);
         let (labelling, n_tets) = match labelled(regions, cell_m, places) {
             Ok(labelled) => labelled,
             // A trial went beyond what is allowed on the way to a number that is.

@@ -240,7 +240,7 @@ mod tests {
         let lattice = Lattice { dims: [9; 3], cell_m: 1.0, origin_m: DVec3::ZERO };
         let ball = FinerBall { center_m: DVec3::splat(4.2), radius_m: 0.8, factor: 6.0 };
         let places = FinePlaces::of_balls(vec![ball]);
-        let refined = Background::new(lattice, &CellSize::new(1.0, &places));
+        let refined = Background::new(lattice, &CellSize::new(1.0, &places)).unwrap();
         let [smallest_deg, largest_deg] = angles_of_random_cuts(&refined);
         assert!(smallest_deg > GRADED_DIHEDRAL_DEG[0], "{smallest_deg}");
         assert!(largest_deg < GRADED_DIHEDRAL_DEG[1], "{largest_deg}");

@@ -73,6 +73,8 @@ export class PlaneView {
     // Lines are given in hundredths of the picture's sides.
     this.marks.setAttribute("viewBox", "0 0 100 100");
     this.marks.setAttribute("preserveAspectRatio", "none");
+    // What they show is in the lists of points and outlines.
+    this.marks.setAttribute("aria-hidden", "true");
     node.append(this.loader.picture, this.marks);
     node.addEventListener("pointerdown", (event) => this.press(event));
     node.addEventListener("pointermove", (event) => this.draw(event));

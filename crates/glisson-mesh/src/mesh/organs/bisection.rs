@@ -20,7 +20,7 @@ const TOLERATED: f64 = std::f64::consts::SQRT_2;
 /// longest edge, that of the lattice's a half.
 const CELL_OVER_LONGEST_EDGE: f64 = 0.7;
 
-/// Tetrahedra that are made at most, halved ones included: these take some 10 GB on the way.
+/// Tetrahedra that are made at most, halved ones included: these take 2.6 GB on the way.
 pub(super) const MOST_BISECTED: usize = 30_000_000;
 
 /// The corners of a tetrahedron's edges.

@@ -168,7 +168,7 @@ for name in sorted(os.listdir(samples)):
     for word in set(texts(old)):
         is_of_the_standard = word.startswith("1.2.840.10008.")
         assert len(word) < 5 or is_of_the_standard or word not in data, (name, word)
-    assert new.PatientIdentityRemoved == "YES" and new.PatientName == "ANONYMOUS", name
+    assert new.PatientIdentityRemoved == ("NO" if "WARNING" in run.stdout else "YES") and new.PatientName == "ANONYMOUS", name
     copied.append(name)
 print(f"copied without the patient, with the pixels that pydicom sees: {len(copied)} of {len(copied) + len(uncopied)} sample files")
 assert len(copied) > 30, (copied, uncopied)

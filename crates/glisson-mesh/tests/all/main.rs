@@ -4,6 +4,8 @@ mod contours;
 #[cfg(feature = "dicom")]
 mod image_anonymize;
 #[cfg(feature = "dicom")]
+mod image_anonymize_pixels;
+#[cfg(feature = "dicom")]
 mod image_dicom;
 #[cfg(feature = "dicom")]
 mod image_dicom_stacks;

@@ -14,6 +14,7 @@
 //! Pixels keep their coding ([`bare_pixels`]).
 
 mod bare_pixels;
+mod bare_streams;
 mod identifiers;
 mod kept;
 
@@ -22,7 +23,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use dicom_core::{DataElement, PrimitiveValue, VR, value::DataSetSequence};
-use dicom_dictionary_std::tags;
+use dicom_dictionary_std::{tags, uids};
 use dicom_object::{DefaultDicomObject, FileMetaTableBuilder, InMemDicomObject, Tag};
 
 use self::identifiers::NewIdentifiers;
@@ -36,8 +37,21 @@ use crate::files::fill_folder_atomically;
 const PATIENT: &str = "ANONYMOUS";
 /// What was done, for who reads the copies (at most 64 characters).
 const METHOD: &str = "glisson: only listed attributes kept, identifiers replaced";
-/// The beginning of the storage classes of secondary captures (DICOM PS3.4, B.5).
-const SECONDARY_CAPTURE: &str = "1.2.840.10008.5.1.4.1.1.7";
+/// Storage classes whose pixels are numbers of a scanner or a program, into which no text is drawn (DICOM PS3.4, B.5).
+const WITHOUT_TEXT: &[&str] = &[
+    uids::CT_IMAGE_STORAGE,
+    uids::ENHANCED_CT_IMAGE_STORAGE,
+    uids::LEGACY_CONVERTED_ENHANCED_CT_IMAGE_STORAGE,
+    uids::MR_IMAGE_STORAGE,
+    uids::ENHANCED_MR_IMAGE_STORAGE,
+    uids::LEGACY_CONVERTED_ENHANCED_MR_IMAGE_STORAGE,
+    uids::POSITRON_EMISSION_TOMOGRAPHY_IMAGE_STORAGE,
+    uids::ENHANCED_PET_IMAGE_STORAGE,
+    uids::LEGACY_CONVERTED_ENHANCED_PET_IMAGE_STORAGE,
+    uids::SEGMENTATION_STORAGE,
+    uids::LABEL_MAP_SEGMENTATION_STORAGE,
+    uids::RT_DOSE_STORAGE,
+];
 
 /// What was copied.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -161,39 +175,62 @@ struct Numbers {
 #[derive(Clone, Debug, Default)]
 struct Seen {
     n_burned_in: usize,
-    n_silent_captures: usize,
+    n_silent: usize,
+    n_recognizable: usize,
     n_renamed_segments: usize,
+    /// Files, and pixels in them, that had something in bits that are not used.
+    n_with_unused_bits: [usize; 2],
 }
 
 impl Seen {
-    fn look_at(&mut self, object: &InMemDicomObject) {
+    /// Takes note of a file of a storage class; says whether its pixels may tell who the patient is.
+    fn look_at(&mut self, object: &InMemDicomObject, class: &str) -> bool {
         let burned_in = text(object, tags::BURNED_IN_ANNOTATION);
-        let is_capture = text(object, tags::SOP_CLASS_UID)
-            .is_some_and(|uid| uid.starts_with(SECONDARY_CAPTURE))
-            || object.get(tags::CONVERSION_TYPE).is_some();
-        match burned_in.as_deref() {
-            Some("NO") => {}
-            Some(_) => self.n_burned_in += 1,
-            None => self.n_silent_captures += usize::from(is_capture),
-        }
+        let (is_burned_in, is_silent) = match burned_in.as_deref() {
+            Some("NO") => (false, false),
+            Some(_) => (true, false),
+            None => (false, !is_of_scanner(object, class)),
+        };
+        let is_recognizable =
+            text(object, tags::RECOGNIZABLE_VISUAL_FEATURES).is_some_and(|word| word != "NO");
+        self.n_burned_in += usize::from(is_burned_in);
+        self.n_silent += usize::from(is_silent);
+        self.n_recognizable += usize::from(is_recognizable);
         let segments = object.get(tags::SEGMENT_SEQUENCE).and_then(|element| element.items());
         self.n_renamed_segments += segments.map_or(0, <[_]>::len);
+        is_burned_in || is_silent || is_recognizable
     }
 
     fn notes(&self) -> Vec<String> {
+        const LOOK: &str = "pixels are copied as they are and PatientIdentityRemoved is NO: look at them before you give \
+                            the copies away";
         let mut notes = Vec::new();
         if self.n_burned_in > 0 {
             notes.push(format!(
-                "WARNING: {} file(s) say that text is drawn into their pixels (BurnedInAnnotation); pixels are copied as \
-                 they are: look at them before you give the copies away",
+                "WARNING: {} file(s) say that text is drawn into their pixels (BurnedInAnnotation); {LOOK}",
                 self.n_burned_in
             ));
         }
-        if self.n_silent_captures > 0 {
+        if self.n_silent > 0 {
             notes.push(format!(
-                "WARNING: {} file(s) are pictures of a screen or of paper and do not say whether text is drawn into \
-                 their pixels; pixels are copied as they are: look at them before you give the copies away",
-                self.n_silent_captures
+                "WARNING: {} file(s) are of a kind that often has text drawn into its pixels (ultrasound, endoscopy, X-ray, \
+                 pictures of a screen or of paper) and do not say whether they have; {LOOK}",
+                self.n_silent
+            ));
+        }
+        if self.n_recognizable > 0 {
+            notes.push(format!(
+                "WARNING: {} file(s) say that the patient can be recognized in their pixels \
+                 (RecognizableVisualFeatures), as by a face; {LOOK}",
+                self.n_recognizable
+            ));
+        }
+        let [n_files, n_pixels] = self.n_with_unused_bits;
+        if n_files > 0 {
+            notes.push(format!(
+                "in {n_files} file(s) {n_pixels} pixel(s) had something in bits that they do not use, as overlays of old \
+                 files; it was cleared. Where BitsStored or PixelRepresentation is wrong these were parts of values: \
+                 compare a copy with its original"
             ));
         }
         if self.n_renamed_segments > 0 {
@@ -204,6 +241,14 @@ impl Seen {
         }
         notes
     }
+}
+
+/// Whether a file is of a class into whose pixels scanners and programs draw no text, and not a picture made of one.
+fn is_of_scanner(object: &InMemDicomObject, class: &str) -> bool {
+    let image_type = object.get(tags::IMAGE_TYPE).and_then(|element| element.to_multi_str().ok());
+    let is_secondary =
+        image_type.is_some_and(|words| words.get(1).is_some_and(|word| word.trim() == "SECONDARY"));
+    WITHOUT_TEXT.contains(&class) && !is_secondary && object.get(tags::CONVERSION_TYPE).is_none()
 }
 
 /// An element of text.
@@ -219,10 +264,8 @@ fn write_copy(
     seen: &mut Seen,
 ) -> Result<(), Failure> {
     let object = open(file, true)?;
-    seen.look_at(&object);
     let syntax = object.meta().transfer_syntax().trim_end_matches(['\0', ' ']).to_owned();
-    coding_of(file, &syntax)?;
-    let bare = bare_copy(file, &object, identifiers, numbers)?;
+    let bare = bare_copy(file, &object, identifiers, numbers, seen)?;
     let meta = FileMetaTableBuilder::new().transfer_syntax(&syntax);
     let refuse = |error: &dyn std::error::Error| ImageError::Series {
         folder: file.to_path_buf(),
@@ -241,13 +284,20 @@ fn bare_copy(
     object: &DefaultDicomObject,
     identifiers: &NewIdentifiers,
     numbers: &Numbers,
+    seen: &mut Seen,
 ) -> Result<InMemDicomObject, ImageError> {
+    let coding = coding_of(file, object.meta().transfer_syntax().trim_end_matches(['\0', ' ']))?;
     let mut bare = kept::kept_of(file, object, identifiers)?;
-    if bare.get(tags::SOP_CLASS_UID).is_none() {
-        let class = kept::class_of_the_standard(file, object.meta().media_storage_sop_class_uid())?;
-        bare.put(word(tags::SOP_CLASS_UID, VR::UI, &class));
-    }
-    bare.put(bare_pixels::of(file, object)?);
+    let class = match text(&bare, tags::SOP_CLASS_UID) {
+        Some(class) => class,
+        None => kept::class_of_the_standard(file, object.meta().media_storage_sop_class_uid())?,
+    };
+    bare.put(word(tags::SOP_CLASS_UID, VR::UI, &class));
+    let is_doubtful = seen.look_at(object, &class);
+    let (pixels, n_changed) = bare_pixels::of(file, object, coding)?;
+    bare.put(pixels);
+    seen.n_with_unused_bits[0] += usize::from(n_changed > 0);
+    seen.n_with_unused_bits[1] += n_changed;
     for (tag, vr) in [
         (tags::STUDY_DATE, VR::DA),
         (tags::STUDY_TIME, VR::TM),
@@ -276,15 +326,19 @@ fn bare_copy(
             bare.put(word(tag, VR::UI, &identifiers.of(instead)));
         }
     }
-    bare.put(word(tags::PATIENT_IDENTITY_REMOVED, VR::CS, "YES"));
     bare.put(word(tags::DEIDENTIFICATION_METHOD, VR::LO, METHOD));
-    let profile = InMemDicomObject::from_element_iter([
-        word(tags::CODE_VALUE, VR::SH, "113100"),
-        word(tags::CODING_SCHEME_DESIGNATOR, VR::SH, "DCM"),
-        word(tags::CODE_MEANING, VR::LO, "Basic Application Confidentiality Profile"),
-    ]);
-    let methods = DataSetSequence::from(vec![profile]);
-    bare.put(DataElement::new(tags::DEIDENTIFICATION_METHOD_CODE_SEQUENCE, VR::SQ, methods));
+    // YES says that nothing is left in the pixels either (DICOM PS3.3, C.7.1.1).
+    let is_removed = if is_doubtful { "NO" } else { "YES" };
+    bare.put(word(tags::PATIENT_IDENTITY_REMOVED, VR::CS, is_removed));
+    if !is_doubtful {
+        let profile = InMemDicomObject::from_element_iter([
+            word(tags::CODE_VALUE, VR::SH, "113100"),
+            word(tags::CODING_SCHEME_DESIGNATOR, VR::SH, "DCM"),
+            word(tags::CODE_MEANING, VR::LO, "Basic Application Confidentiality Profile"),
+        ]);
+        let methods = DataSetSequence::from(vec![profile]);
+        bare.put(DataElement::new(tags::DEIDENTIFICATION_METHOD_CODE_SEQUENCE, VR::SQ, methods));
+    }
     bare.put(word(tags::LONGITUDINAL_TEMPORAL_INFORMATION_MODIFIED, VR::CS, "REMOVED"));
     Ok(bare)
 }

@@ -85,8 +85,10 @@ impl PixelKind {
 pub(super) enum Coding {
     /// Words one after the other.
     Plain,
-    /// What `dicom-pixeldata` decodes: RLE, JPEG baseline, JPEG lossless.
-    Library,
+    /// Decoded by `dicom-pixeldata`, as JPEG is.
+    Rle,
+    /// Baseline and lossless.
+    Jpeg,
     JpegLs,
     Jpeg2000,
 }
@@ -96,10 +98,10 @@ const CODINGS: &[(&str, Coding)] = &[
     (uids::EXPLICIT_VR_LITTLE_ENDIAN, Coding::Plain),
     (EXPLICIT_VR_BIG_ENDIAN, Coding::Plain),
     (uids::DEFLATED_EXPLICIT_VR_LITTLE_ENDIAN, Coding::Plain),
-    (uids::RLE_LOSSLESS, Coding::Library),
-    (uids::JPEG_BASELINE8_BIT, Coding::Library),
-    (uids::JPEG_LOSSLESS, Coding::Library),
-    (uids::JPEG_LOSSLESS_SV1, Coding::Library),
+    (uids::RLE_LOSSLESS, Coding::Rle),
+    (uids::JPEG_BASELINE8_BIT, Coding::Jpeg),
+    (uids::JPEG_LOSSLESS, Coding::Jpeg),
+    (uids::JPEG_LOSSLESS_SV1, Coding::Jpeg),
     (uids::JPEGLS_LOSSLESS, Coding::JpegLs),
     (uids::JPEGLS_NEAR_LOSSLESS, Coding::JpegLs),
     (uids::JPEG2000_LOSSLESS, Coding::Jpeg2000),
@@ -120,6 +122,11 @@ pub(super) fn coding_of(file: &Path, uid: &str) -> Result<Coding, ImageError> {
         );
         ImageError::Series { folder: file.to_path_buf(), reason }
     })
+}
+
+/// Whether words of two bytes were turned one by one, so that the high half of each number stands first.
+pub(super) fn has_turned_halves(syntax: &str, kind: PixelKind, vr: VR) -> bool {
+    syntax == EXPLICIT_VR_BIG_ENDIAN && kind.n_bits_allocated == 32 && vr == VR::OW
 }
 
 /// The pixels of a file, out of which frames are taken.
@@ -153,9 +160,7 @@ impl<'a> Pixels<'a> {
             let missing = || wrong(file, object, tags::PIXEL_DATA, "PixelData", "the pixels of the image");
             let element = object.get(tags::PIXEL_DATA).ok_or_else(missing)?;
             plain = element.to_bytes().map_err(|_| missing())?.into_owned();
-            let is_big_endian = uid == EXPLICIT_VR_BIG_ENDIAN;
-            if is_big_endian && kind.n_bits_allocated == 32 && element.vr() == VR::OW {
-                // Words of two bytes were turned, and the high one stands first.
+            if has_turned_halves(uid, kind, element.vr()) {
                 for number in plain.chunks_exact_mut(4) {
                     number.rotate_left(2);
                 }
@@ -197,7 +202,7 @@ impl<'a> Pixels<'a> {
                 let n_bytes = self.kind.n_bits_allocated as usize / 8 * n;
                 Ok(self.of_words(&self.plain[index * n_bytes..(index + 1) * n_bytes]))
             }
-            Coding::Library => {
+            Coding::Rle | Coding::Jpeg => {
                 let decoded = self.object.decode_pixel_data_frame(index as u32);
                 decoded.map(|decoded| self.of_words(decoded.data())).map_err(|error| causes(&error))
             }

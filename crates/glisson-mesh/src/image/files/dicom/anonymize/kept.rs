@@ -211,7 +211,7 @@ const LOSSY_METHODS: &[&str] =
 const OF_THE_STANDARD: &str = "1.2.840.10008.";
 
 /// A refusal that does not repeat what was found, which may be a name.
-fn refuse(file: &Path, tag: Tag, found: &str, allowed: &str) -> ImageError {
+pub(super) fn refuse(file: &Path, tag: Tag, found: &str, allowed: &str) -> ImageError {
     ImageError::Header {
         file: file.to_path_buf(),
         field: dictionary_name(tag),

@@ -142,6 +142,33 @@ fn slices_of_a_tilted_gantry_are_put_upright() {
 }
 
 #[test]
+fn labels_of_a_tilted_gantry_are_refused_where_they_would_be_mixed() {
+    for (shift, is_refused) in [(0.5, true), (2.0, false)] {
+        let folder = tempfile::tempdir().unwrap();
+        let [x, y] = directions();
+        for k in 0..3 {
+            let position_mm = (x.cross(y) * SLICE_MM + y * (shift * ROW_MM)) * k as f64;
+            let labels = (0..COLUMNS * ROWS).map(|n| if n / COLUMNS < ROWS / 2 { 2 } else { 6 }).collect();
+            let mut object = plane(position_mm, directions(), [COLUMNS, ROWS], labels);
+            object.put(element(tags::RESCALE_SLOPE, VR::DS, "1"));
+            object.put(element(tags::RESCALE_INTERCEPT, VR::DS, "0"));
+            object.remove_element(tags::MODALITY);
+            save(object, &folder.path().join(format!("IM{k}")));
+        }
+        let image = read_image(folder.path()).unwrap();
+        assert_eq!(image.likely_labels().is_none(), is_refused, "{shift}");
+        match image.label_map() {
+            Ok(map) => assert!(!is_refused && map.present() == [2, 6], "{:?}", map.present()),
+            Err(error) => {
+                let message = error.to_string();
+                assert!(is_refused && message.contains("tilted gantry"), "{message}");
+                assert!(message.contains("nearest voxel"), "{message}");
+            }
+        }
+    }
+}
+
+#[test]
 fn an_image_that_leans_too_far_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     tilted(folder.path(), [0.0, SLICE_MM * 50f64.to_radians().tan()]);

@@ -23,6 +23,8 @@ pub struct StoredImage {
     pub notes: Vec<String>,
     pub(super) file: PathBuf,
     pub(super) data: StoredData,
+    /// Whether numbers lie between those of the file, as on moved slices: labels do not.
+    pub(super) is_interpolated: bool,
 }
 
 /// Different numbers up to which whole numbers look like labels: a choice.
@@ -86,7 +88,8 @@ impl StoredImage {
     /// An image of a file that names no labels.
     pub(super) fn new(file: &Path, format: &'static str, grid: VoxelGrid, data: StoredData) -> Self {
         let (names, colours, notes) = (Vec::new(), Vec::new(), Vec::new());
-        Self { grid, format, modality: None, names, colours, notes, file: file.to_path_buf(), data }
+        let file = file.to_path_buf();
+        Self { grid, format, modality: None, names, colours, notes, file, data, is_interpolated: false }
     }
 
     /// Its values, scaled as the file says.
@@ -115,8 +118,13 @@ impl StoredImage {
     /// Its labels, with the names and colours that the file gives them.
     ///
     /// # Errors
-    /// A voxel that is not a whole number from 0 to 65535.
+    /// A voxel that is not a whole number from 0 to 65535; numbers between those of the file.
     pub fn label_map(&self) -> Result<LabelMap, ImageError> {
+        if self.is_interpolated {
+            let reason = "it is no label map: its slices are those of a tilted gantry, and were put upright by interpolation, \
+                          which makes labels that nothing has; resample them by the nearest voxel (e.g. with 3D Slicer)";
+            return Err(ImageError::Series { folder: self.file.clone(), reason: reason.into() });
+        }
         let mut labels = Vec::with_capacity(self.grid.n_voxels());
         self.data.for_each(|index, value| {
             if !(0.0..=65535.0).contains(&value) || value.fract() != 0.0 {

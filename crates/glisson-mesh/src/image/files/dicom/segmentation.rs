@@ -103,7 +103,15 @@ pub(super) fn label_map(folder: &Path, series: &Series) -> Result<StoredImage, I
         let place = (height_mm(frame) - low_mm) / distance_mm;
         let aside_mm =
             (frame.position_mm - lowest.position_mm - normal * (height_mm(frame) - low_mm)).length();
-        if (place - place.round()).abs() > 0.1 || aside_mm > 0.1 * first.spacing_mm[0] {
+        if aside_mm > 0.1 * first.spacing_mm[0] {
+            return refuse(format!(
+                "{} lies {aside_mm:.2} mm beside the line across the planes of the other frames, as on slices of a tilted \
+                 gantry: these cannot be put upright without labels that nothing has; resample the segmentation by the \
+                 nearest voxel (e.g. with 3D Slicer)",
+                frame.name()
+            ));
+        }
+        if (place - place.round()).abs() > 0.1 {
             return refuse(format!("{} is not on the grid of the other frames", frame.name()));
         }
         let plane = &mut labels[place.round() as usize * n_in_plane..][..n_in_plane];

@@ -92,6 +92,13 @@ impl Tilt {
         Ok(Some(Self { shift, n_before, dims: [first.dims[0], first.dims[1], n_slices], angle_deg, grid }))
     }
 
+    /// Whether a slice moves by parts of a voxel, so that numbers are made that no voxel has.
+    pub(super) fn is_between_voxels(&self) -> bool {
+        let moved = |k: usize| self.shift.map(|shift| shift * k as f64);
+        let is_part = |place: f64| (place - place.round()).abs() >= NO_PART;
+        (0..self.dims[2]).any(|k| moved(k).into_iter().any(is_part))
+    }
+
     /// The slices' numbers on the right-angled grid, and a note of what was done.
     pub(super) fn straighten(&self, slices: &StoredData) -> (StoredData, String) {
         let numbers = |bytes: &[u8]| {

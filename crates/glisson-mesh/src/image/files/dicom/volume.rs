@@ -186,7 +186,9 @@ pub(super) fn volume(folder: &Path, series: &Series) -> Result<StoredImage, Imag
     let mut notes = Vec::new();
     let (frames, distance_mm) = in_order(folder, frames, &mut notes)?;
     let step_mm = step_of(folder, &frames, distance_mm)?;
-    let (grid, data) = match Tilt::of(folder, &frames[0], frames.len(), step_mm)? {
+    let tilt = Tilt::of(folder, &frames[0], frames.len(), step_mm)?;
+    let is_interpolated = tilt.as_ref().is_some_and(Tilt::is_between_voxels);
+    let (grid, data) = match tilt {
         None => (grid_of(folder, &frames, distance_mm, step_mm)?, numbers_of(&frames)?),
         Some(tilt) => {
             let (data, note) = tilt.straighten(&numbers_of(&frames)?);
@@ -196,6 +198,7 @@ pub(super) fn volume(folder: &Path, series: &Series) -> Result<StoredImage, Imag
     };
     let mut image = StoredImage::new(folder, NAME, grid, data);
     image.notes = notes;
+    image.is_interpolated = is_interpolated;
     Ok(image)
 }
 

@@ -377,6 +377,77 @@ fn slices_without_a_header_have_the_size_that_is_said() {
     assert!(with([usize::MAX, usize::MAX]).contains("1 to 65535 allowed"));
 }
 
+#[test]
+fn planes_of_grey_slices_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for (k, file) in files(folder.path(), "raw").iter().enumerate() {
+        fs::write(file, bytes_of(k, 1)).unwrap();
+    }
+    let raw = Some(RawSlices { size: [COLUMNS, ROWS], in_planes: true });
+    let message = read_slices(folder.path(), &SliceOptions { raw, ..PLAIN }).unwrap_err().to_string();
+    assert!(message.contains("grey slices") && message.contains("leave --planes out"), "{message}");
+}
+
+#[test]
+fn pictures_that_are_to_be_turned_are_refused() {
+    for (orientation, is_refused) in [(None, false), (Some(1u16), false), (Some(3), true), (Some(6), true)] {
+        let folder = tempfile::tempdir().unwrap();
+        let file = fs::File::create(folder.path().join("1.tif")).unwrap();
+        let mut encoder = TiffEncoder::new(file).unwrap();
+        let mut image = encoder.new_image::<colortype::Gray8>(COLUMNS as u32, ROWS as u32).unwrap();
+        if let Some(orientation) = orientation {
+            image.encoder().write_tag(tiff::tags::Tag::Orientation, orientation).unwrap();
+        }
+        image.write_data(&bytes_of(0, 1)).unwrap();
+        match read_slices(folder.path(), &PLAIN) {
+            Ok(_) => assert!(!is_refused, "{orientation:?}"),
+            Err(error) => {
+                let message = error.to_string();
+                assert!(
+                    is_refused && message.contains("1.tif") && message.contains("Orientation"),
+                    "{message}"
+                );
+                assert!(message.contains("-auto-orient"), "{message}");
+            }
+        }
+    }
+}
+
+#[test]
+fn opacity_of_one_colour_is_counted_with_what_a_file_can_hold() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("1.png");
+    let mut encoder = png::Encoder::new(fs::File::create(&path).unwrap(), 4096, 4096);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_compression(png::Compression::High);
+    encoder.set_trns(vec![0u8, 0]);
+    encoder.write_header().unwrap().write_image_data(&vec![0; 4096 * 4096]).unwrap();
+    // As small as it can be, so that its numbers with opacity are more than a deflate stream can make.
+    assert!(2 * 4096 * 4096 > 1032 * fs::metadata(&path).unwrap().len());
+    let image = read_slices(folder.path(), &PLAIN).unwrap();
+    assert_eq!(image.grid.dims, [4096, 4096, 1]);
+}
+
+#[test]
+fn more_slices_than_there_may_be_take_no_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    for n in 0..3 {
+        // Nothing of it is on the disk.
+        let file = fs::File::create(folder.path().join(format!("{n}.raw"))).unwrap();
+        file.set_len(65_535 * 65_535).unwrap();
+    }
+    let raw = Some(RawSlices { size: [65_535; 2], in_planes: false });
+    let mut message = String::new();
+    let info = allocation_counter::measure(|| {
+        message = read_slices(folder.path(), &SliceOptions { raw, ..PLAIN }).unwrap_err().to_string();
+    });
+    assert!(
+        message.contains("3 slices of 65535 x 65535 pixels") && message.contains("8589934592"),
+        "{message}"
+    );
+    assert!(info.bytes_max < 1 << 21, "{} bytes", info.bytes_max);
+}
+
 /// A PNG's header with another width and height, and its checksum.
 fn with_size(bytes: &mut [u8], size: [u32; 2]) {
     bytes[16..20].copy_from_slice(&size[0].to_be_bytes());

@@ -27,6 +27,9 @@ pub use self::raw_slice::RawSlices;
 /// What people call the format.
 const NAME: &str = "pictures of slices";
 
+/// Most bytes of the voxels of all slices: the Visible Human's have half of it as bytes.
+const MAX_BYTES: u64 = 1 << 33;
+
 /// What becomes of the colours of slices.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SliceChannel {
@@ -171,7 +174,8 @@ fn slices_of(folder: &Path, files: Vec<PathBuf>) -> Result<(Vec<Slice>, Kind, u6
 /// # Errors
 /// [`ImageError`]: no pictures, pictures of two kinds, names without a number, numbers that are there twice or missing,
 /// slices of different size, grey and coloured ones together, another number of bits, a channel of grey slices, raw
-/// slices without a size, damaged files, voxels smaller than a micrometre or larger than 100 mm.
+/// slices without a size, planes of grey ones, damaged files, more than 8 GiB of voxels, voxels smaller than a micrometre
+/// or larger than 100 mm.
 pub fn read_slices(folder: &Path, options: &SliceOptions) -> Result<StoredImage, ImageError> {
     let files = files_in(folder, |file| kind_of(file).is_some())?;
     let (slices, kind, step) = slices_of(folder, files)?;
@@ -203,13 +207,27 @@ pub fn read_slices(folder: &Path, options: &SliceOptions) -> Result<StoredImage,
             format!("grey slices ({}) have no channels: leave --channel out", name_of(&slices[0].file));
         return Err(refuse(folder, reason));
     }
+    if first.colours == Colours::Grey && raw.in_planes {
+        let reason = format!("grey slices ({}) have no planes: leave --planes out", name_of(&slices[0].file));
+        return Err(refuse(folder, reason));
+    }
     let to_next = if options.head_first { -DVec3::Z } else { DVec3::Z };
     let dims = [first.size[0], first.size[1], slices.len()];
     let spacing_m = DVec3::from_array(options.spacing_mm) * 1e-3;
     let grid = right_angled(folder, dims, [DVec3::X, DVec3::Y, to_next], spacing_m, DVec3::ZERO)?;
 
     let kind_of_number = if first.n_bits == 16 { NumberType::U16 } else { NumberType::U8 };
+    let n_bytes = first.n_pixels() as u64 * slices.len() as u64 * kind_of_number.n_bytes() as u64;
     let mut bytes = Vec::new();
+    let is_small = n_bytes <= MAX_BYTES;
+    if !is_small || usize::try_from(n_bytes).map_or(true, |n| bytes.try_reserve_exact(n).is_err()) {
+        let reason = format!(
+            "{} slices of {first} are {n_bytes} bytes, {MAX_BYTES} allowed, and no more than there is memory; take every \
+             second slice, or a part of each",
+            slices.len()
+        );
+        return Err(refuse(folder, reason));
+    }
     for slice in &slices {
         let picture = match kind {
             Kind::Png => png_slice::read(&slice.file),

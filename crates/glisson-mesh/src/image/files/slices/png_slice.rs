@@ -34,7 +34,14 @@ fn open(file: &Path) -> Result<(Reader<BufReader<File>>, Shape), ImageError> {
     let info = reader.info();
     let shape = Shape { size: [info.width as usize, info.height as usize], colours, n_bits, n_samples };
     // Pixels of a bit become a byte.
-    let growth = if (info.bit_depth as u64) < 8 || info.color_type == ColorType::Indexed { 32 } else { 1 };
+    let growth = if (info.bit_depth as u64) < 8 || info.color_type == ColorType::Indexed {
+        32
+    } else if info.trns.is_some() {
+        // A number of opacity beside each other.
+        2
+    } else {
+        1
+    };
     shape.check(file, n_file_bytes, MAX_RATIO * growth)?;
     Ok((reader, shape))
 }

@@ -50,6 +50,14 @@ fn open(file: &Path) -> Result<(Decoder<BufReader<File>>, Shape), ImageError> {
                       together (1); convert the slices";
         return Err(refuse(file, reason));
     }
+    let turn = decoder.find_tag_unsigned::<u16>(Tag::Orientation).map_err(damaged)?.unwrap_or(1);
+    if turn != 1 {
+        let reason = format!(
+            "a TIFF that is to be turned or mirrored to be looked at (Orientation {turn}), allowed: none, or 1 (its first \
+             row above, its first column left); turn the pixels themselves, e.g. with mogrify -auto-orient"
+        );
+        return Err(refuse(file, &reason));
+    }
     let (columns, rows) = decoder.dimensions().map_err(damaged)?;
     let size = [columns as usize, rows as usize];
     let shape = Shape { size, colours, n_bits: usize::from(n_bits), n_samples };

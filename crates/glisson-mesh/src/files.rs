@@ -35,10 +35,11 @@ pub fn write_atomically(
 }
 
 /// Fills the folder `path` through a temporary one beside it, renamed into place only after `fill` succeeded. On any
-/// error there is no folder that was not there before. The folder may be there already if nothing is in it.
+/// error there is no folder that was not there before, nor one above it. The folder may be there already if nothing is in
+/// it.
 ///
 /// # Errors
-/// A folder that is not empty, or a file, in its place ([`io::ErrorKind::AlreadyExists`]); whatever `fill` answers.
+/// A folder that is not empty, a file, or a link in its place ([`io::ErrorKind::AlreadyExists`]); whatever `fill` answers.
 pub fn fill_folder_atomically<E: From<io::Error>>(
     path: &Path,
     fill: impl FnOnce(&Path) -> Result<(), E>,
@@ -48,6 +49,9 @@ pub fn fill_folder_atomically<E: From<io::Error>>(
     let name = path.file_name().ok_or_else(|| {
         io::Error::new(io::ErrorKind::InvalidInput, format!("{} names no folder", path.display()))
     })?;
+    if path.is_symlink() {
+        return Err(taken("a link").into());
+    }
     let is_there = path.is_dir();
     if is_there && std::fs::read_dir(path)?.next().is_some() {
         return Err(taken("a folder with files in it").into());
@@ -55,24 +59,34 @@ pub fn fill_folder_atomically<E: From<io::Error>>(
     if path.exists() && !is_there {
         return Err(taken("a file").into());
     }
-    if let Some(parent) = path.parent() {
-        std::fs::create_dir_all(parent)?;
-    }
+    // From the lowest to the highest.
+    let parents = path.ancestors().skip(1).filter(|parent| !parent.as_os_str().is_empty());
+    let new_parents: Vec<&Path> = parents.take_while(|parent| !parent.exists()).collect();
     let mut temporary_name = std::ffi::OsString::from(".");
     temporary_name.push(name);
     temporary_name.push(format!(".{}.tmp", std::process::id()));
     let temporary = path.with_file_name(temporary_name);
-    std::fs::create_dir(&temporary)?;
-    let result = fill(&temporary).and_then(|()| {
-        if is_there {
-            // Refused by the system if something came into it meanwhile.
-            std::fs::remove_dir(path)?;
+    let made = match path.parent() {
+        Some(parent) => std::fs::create_dir_all(parent),
+        None => Ok(()),
+    };
+    let result = made.and_then(|()| std::fs::create_dir(&temporary)).map_err(E::from).and_then(|()| {
+        let result = fill(&temporary).and_then(|()| {
+            if is_there {
+                // Refused by the system if something came into it meanwhile.
+                std::fs::remove_dir(path)?;
+            }
+            Ok(std::fs::rename(&temporary, path)?)
+        });
+        if result.is_err() {
+            // The first error is the one to report.
+            let _ = std::fs::remove_dir_all(&temporary);
         }
-        Ok(std::fs::rename(&temporary, path)?)
+        result
     });
     if result.is_err() {
-        // The first error is the one to report.
-        let _ = std::fs::remove_dir_all(&temporary);
+        // As far as nothing else came into them meanwhile.
+        new_parents.iter().for_each(|parent| drop(std::fs::remove_dir(parent)));
     }
     result
 }

@@ -337,6 +337,20 @@ fn what_may_tell_the_patient_is_refused() {
         ),
         (with(|o| assert!(o.remove_element(tags::PIXEL_DATA))), &["PixelData (tag (7FE0,0010)) is missing"]),
         (with(|o| drop(o.put(number(tags::ROWS, 2000)))), &["bytes found", "8000 expected"]),
+        (
+            with(|o| {
+                let table = element(tags::LUT_DATA, VR::US, PrimitiveValue::from(1u16));
+                o.put(sequence(tags::MODALITY_LUT_SEQUENCE, vec![table]));
+            }),
+            &["ModalityLUTSequence", "a table of values", "a slope and an intercept"],
+        ),
+        (
+            with(|o| {
+                let bytes = PrimitiveValue::from(SECRET.as_bytes().to_vec());
+                o.put(element(tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE, VR::UN, bytes));
+            }),
+            &["SharedFunctionalGroupsSequence", "no sequence", "UN"],
+        ),
     ];
     for (number, (result, words)) in refused.iter().enumerate() {
         let message = result.as_ref().unwrap_err();
@@ -345,6 +359,89 @@ fn what_may_tell_the_patient_is_refused() {
             assert!(message.contains(word), "case {number}: `{word}` missing in: {message}");
         }
     }
+}
+
+#[test]
+fn numbers_that_tell_volumes_apart_and_units_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, out) = (folder.path().join("a.dcm"), folder.path().join("out"));
+    let mut object = slice(0, "4");
+    for (tag, vr, value) in [
+        (tags::ACQUISITION_NUMBER, VR::IS, "3"),
+        (tags::TEMPORAL_POSITION_IDENTIFIER, VR::IS, "5"),
+        (tags::ECHO_NUMBERS, VR::IS, "1\\2"),
+        (tags::UNITS, VR::CS, "BQML"),
+    ] {
+        object.put(element(tag, vr, value));
+    }
+    // An empty sequence is none that is not understood.
+    object.put(element(tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE, VR::UN, PrimitiveValue::Empty));
+    save(object, uids::EXPLICIT_VR_LITTLE_ENDIAN, &path);
+    copy(&path, &out);
+    let object = open_file(out.join("slice_0001.dcm")).unwrap();
+    let text = |tag| object.element(tag).unwrap().to_str().unwrap().into_owned();
+    assert_eq!(text(tags::ACQUISITION_NUMBER), "3");
+    assert_eq!(text(tags::TEMPORAL_POSITION_IDENTIFIER), "5");
+    assert_eq!(text(tags::ECHO_NUMBERS), "1\\2");
+    assert_eq!(text(tags::UNITS), "BQML");
+}
+
+#[test]
+fn files_that_are_not_copied_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let scan = scan(folder.path(), "4", uids::EXPLICIT_VR_LITTLE_ENDIAN);
+    std::fs::write(scan.join("notes.txt"), "3 slices").unwrap();
+    let mut report = slice(0, "4");
+    report.remove_element(tags::ROWS);
+    save(report, uids::EXPLICIT_VR_LITTLE_ENDIAN, &scan.join("report.dcm"));
+    let notes = copy(&scan, &folder.path().join("out")).notes;
+    for words in ["1 file(s) that are not DICOM were passed over", "1 DICOM file(s) without an image"] {
+        assert!(notes.iter().any(|note| note.contains(words)), "{notes:?}");
+    }
+    // A choice that is not there is refused without what series are called.
+    let out = folder.path().join("other");
+    let message = anonymize(&scan, &SeriesChoice::Number(99), &out, [7; 32]).unwrap_err().to_string();
+    assert!(message.contains("series 99 asked for, allowed: 1 to 1"), "{message}");
+    assert!(message.contains("CT, series 4, 3 file(s)") && !message.contains(SECRET), "{message}");
+}
+
+#[test]
+fn an_output_in_the_input_or_at_a_link_is_refused_before_anything_is_made() {
+    let folder = tempfile::tempdir().unwrap();
+    let scan = scan(folder.path(), "4", uids::EXPLICIT_VR_LITTLE_ENDIAN);
+    let at = |place: &str| folder.path().join(place);
+    std::os::unix::fs::symlink(at("nowhere"), at("link")).unwrap();
+    std::os::unix::fs::symlink(&scan, at("other_name")).unwrap();
+    let one = scan.join("Zzyzx-4-7.dcm");
+    let lies_in = "it lies in what is copied";
+    for (input, output, words) in [
+        (&scan, at("new/../scan/copy"), lies_in),
+        (&scan, at("other_name/copy"), lies_in),
+        (&scan, at("scan/../scan/new/copy"), lies_in),
+        (&at("other_name"), at("scan"), lies_in),
+        (&one, one.clone(), lies_in),
+        (&one, one.join("copy"), lies_in),
+        (&scan, at("link"), "a link is there already"),
+    ] {
+        let error = anonymize(input, &SeriesChoice::Only, &output, [7; 32]).unwrap_err().to_string();
+        assert!(error.contains(words), "{}: {error}", output.display());
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3);
+    assert_eq!(files_below(&scan).len(), 3);
+    // Nor do the folders above it stay where nothing came about.
+    let mut bad = slice(0, "4");
+    bad.put(element(tags::RESCALE_SLOPE, VR::DS, "Zzyzx"));
+    save(bad, uids::EXPLICIT_VR_LITTLE_ENDIAN, &scan.join("bad.dcm"));
+    anonymize(&scan, &SeriesChoice::Only, &at("a/b/copy"), [7; 32]).unwrap_err();
+    assert!(!at("a").exists());
+    // Where one was there, it stays.
+    std::fs::create_dir(at("a")).unwrap();
+    anonymize(&scan, &SeriesChoice::Only, &at("a/b/copy"), [7; 32]).unwrap_err();
+    assert!(at("a").exists() && !at("a/b").exists());
+    // `..` behind something that is not there makes nothing of it.
+    std::fs::remove_file(scan.join("bad.dcm")).unwrap();
+    copy(&scan, &at("new/../copy"));
+    assert!(at("copy/slice_0001.dcm").exists() && !at("new").exists());
 }
 
 #[test]
@@ -363,7 +460,7 @@ fn a_folder_in_use_and_what_is_no_dicom_are_refused() {
     for (message, words) in [
         (message(&scan, &used), ["used", "a folder with files in it is there already"]),
         (message(&scan, &file), ["a.nrrd", "a file is there already"]),
-        (message(&scan, &scan.join("copy")), ["scan/copy", "it lies in the folder that is copied"]),
+        (message(&scan, &scan.join("copy")), ["scan/copy", "it lies in what is copied"]),
         (message(&file, &new), ["a.nrrd", "copies without the patient are made of DICOM"]),
         (message(&used, &new), ["used", "no DICOM image found among 1 file(s)"]),
     ] {

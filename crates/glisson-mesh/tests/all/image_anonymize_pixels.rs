@@ -182,10 +182,13 @@ fn unused_bits_of_every_word_are_cleared_and_told() {
     }
 }
 
+/// Storage class, values of ImageType, BurnedInAnnotation, and what is warned of.
+type Case<'a> = (&'a str, &'a [&'a str], Option<&'a str>, Option<&'a str>);
+
 #[test]
 fn pixels_that_may_tell_the_patient_are_warned_of_and_the_copy_says_so() {
     let us = uids::ULTRASOUND_IMAGE_STORAGE;
-    let cases: [(&str, &[&str], Option<&str>, Option<&str>); 13] = [
+    let cases: [Case<'_>; 13] = [
         (CT, &["ORIGINAL", "PRIMARY"], None, None),
         (CT, &["DERIVED", "SECONDARY"], None, Some("do not say whether")),
         (CT, &["DERIVED", "SECONDARY"], Some("NO"), None),

@@ -479,6 +479,47 @@ fn a_folder_of_dicom_and_other_images_is_refused() {
 }
 
 #[test]
+fn pictures_beside_damaged_dicom_are_not_what_is_told_of() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("preview1.png"), "no picture").unwrap();
+    let message = || read_image(folder.path()).unwrap_err().to_string();
+    assert!(message().contains("picture(s) of slices"), "{}", message());
+    let below = folder.path().join("series");
+    std::fs::create_dir(&below).unwrap();
+    let path = Slice::new(0).save(&below);
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() - 10]).unwrap();
+    assert!(message().contains("element (7FE0,0010)"), "{}", message());
+}
+
+#[test]
+fn a_segmentation_on_tilted_slices_is_refused_with_the_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("seg.dcm");
+    let mut object = segmentation("BINARY", &[0b0011_0011, 0b1]);
+    let plane = |aside: f64, place: f64| {
+        let position =
+            element(tags::IMAGE_POSITION_PATIENT, VR::DS, decimals(&[1.0, 2.0 + aside, 3.0 + place]));
+        let number = element(tags::REFERENCED_SEGMENT_NUMBER, VR::US, PrimitiveValue::from(1u16));
+        InMemDicomObject::from_element_iter([
+            sequence(tags::PLANE_POSITION_SEQUENCE, vec![position]),
+            sequence(tags::SEGMENT_IDENTIFICATION_SEQUENCE, vec![number]),
+        ])
+    };
+    let frames = vec![plane(0.0, 0.0), plane(0.6, 2.0), plane(1.2, 4.0)];
+    object.put(DataElement::new(
+        tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE,
+        VR::SQ,
+        DataSetSequence::from(frames),
+    ));
+    save(object, uids::EXPLICIT_VR_LITTLE_ENDIAN, &path);
+    let message = read_image(&path).unwrap_err().to_string();
+    for words in ["frame 2", "0.60 mm beside", "tilted gantry", "nearest voxel"] {
+        assert!(message.contains(words), "`{words}` missing in: {message}");
+    }
+}
+
+#[test]
 fn a_file_that_is_cut_is_named_with_its_element() {
     let folder = tempfile::tempdir().unwrap();
     let path = Slice::new(0).save(folder.path());

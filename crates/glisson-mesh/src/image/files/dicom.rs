@@ -59,6 +59,11 @@ pub(super) fn is_in(folder: &Path) -> bool {
     entries.filter_map(Result::ok).any(|entry| series::is_dicom(&entry.path()))
 }
 
+/// Whether one of the files in a folder, or in the folders in it, is DICOM.
+pub(super) fn is_below(folder: &Path) -> bool {
+    series::files_below(folder).is_ok_and(|files| files.iter().any(|file| series::is_dicom(file)))
+}
+
 /// The image series in a folder and the folders in it, in the order of their numbers.
 ///
 /// # Errors

@@ -123,9 +123,7 @@ fn read_folder(folder: &Path) -> Result<StoredImage, ImageError> {
         return masks::read(folder, &masks, read_image);
     }
     #[cfg(feature = "dicom")]
-    return match slices::without_spacing(folder)
-        .filter(|_| !dicom::is_in(folder) && series_in(folder).is_err())
-    {
+    return match slices::without_spacing(folder).filter(|_| !dicom::is_below(folder)) {
         Some(error) => Err(error),
         None => dicom::read(folder, &SeriesChoice::Only),
     };

@@ -20,7 +20,7 @@ mod kept;
 
 use std::fs::File;
 use std::io::BufWriter;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use dicom_core::{DataElement, PrimitiveValue, VR, value::DataSetSequence};
 use dicom_dictionary_std::{tags, uids};
@@ -89,16 +89,19 @@ pub fn anonymize(
                 .into(),
         });
     }
-    let all = match choice {
-        SeriesChoice::Only => series::find(input)?,
-        SeriesChoice::Number(_) => vec![series::chosen(input, choice)?],
-    };
+    let mut all = series::find(input)?;
+    if let SeriesChoice::Number(_) = choice {
+        // Descriptions are free text, and may name the patient in a refusal.
+        all.iter_mut().for_each(|series| series.description = None);
+        all = vec![series::chosen_of(input, all, choice)?];
+    }
     let unwritable = |reason: String| ImageError::Unwritable { file: output.to_path_buf(), reason };
-    if lies_in(output, input) {
-        return Err(unwritable("it lies in the folder that is copied; name one outside of it".into()));
+    let place = resolved(output);
+    if input.canonicalize().is_ok_and(|input| place.starts_with(input)) {
+        return Err(unwritable("it lies in what is copied; name a folder outside of it".into()));
     }
     let mut seen = Seen::default();
-    let result = fill_folder_atomically(output, |folder| {
+    let result = fill_folder_atomically(&place, |folder| {
         let identifiers = NewIdentifiers::with_key(key);
         for (index, series) in all.iter().enumerate() {
             let folder = if all.len() == 1 {
@@ -124,7 +127,10 @@ pub fn anonymize(
         Failure::Output(source) => ImageError::Io { file: output.to_path_buf(), source },
     })?;
     let n_files = all.iter().map(|series| series.files.len()).sum();
-    Ok(AnonymousCopy { n_series: all.len(), n_files, notes: seen.notes() })
+    let mut notes = seen.notes();
+    // Of the whole folder, the same for each series.
+    notes.extend(all.first().map(|series| series.notes.clone()).unwrap_or_default());
+    Ok(AnonymousCopy { n_series: all.len(), n_files, notes })
 }
 
 /// Why no copy came about.
@@ -145,12 +151,20 @@ impl From<std::io::Error> for Failure {
     }
 }
 
-/// Whether a path that need not be there lies in a folder.
-fn lies_in(path: &Path, folder: &Path) -> bool {
-    let Ok(folder) = folder.canonicalize() else { return false };
-    let Ok(absolute) = std::path::absolute(path) else { return false };
-    let there = absolute.ancestors().find_map(|ancestor| ancestor.canonicalize().ok());
-    folder.is_dir() && there.is_some_and(|there| there.starts_with(&folder))
+/// Where a path leads that need not be there: without `..` and links, but for a link at its very end.
+fn resolved(path: &Path) -> PathBuf {
+    let Some(name) = path.file_name() else { return path.to_path_buf() };
+    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let mut folder = PathBuf::new();
+    for component in absolute.parent().unwrap_or(Path::new("")).components() {
+        match component {
+            // What is there was resolved, so that this is the folder above it.
+            Component::ParentDir => drop(folder.pop()),
+            other => folder.push(other),
+        }
+        folder = folder.canonicalize().unwrap_or(folder);
+    }
+    folder.join(name)
 }
 
 /// Files in the order of their first frames along the normal of these; files without a place before, by their names.

@@ -52,7 +52,7 @@ impl std::fmt::Display for SeriesSummary {
 pub(super) struct Series {
     pub(super) modality: Option<String>,
     number: Option<i64>,
-    description: Option<String>,
+    pub(super) description: Option<String>,
     /// In the order of their names.
     pub(super) files: Vec<PathBuf>,
     pub(super) notes: Vec<String>,
@@ -95,7 +95,7 @@ pub(super) fn causes(error: &dyn std::error::Error) -> String {
 }
 
 /// The files in a folder and in the folders in it, in the order of their names; a file stands for itself.
-fn files_below(path: &Path) -> Result<Vec<PathBuf>, ImageError> {
+pub(super) fn files_below(path: &Path) -> Result<Vec<PathBuf>, ImageError> {
     let io_error = |source| ImageError::Io { file: path.to_path_buf(), source };
     if !path.is_dir() {
         return Ok(vec![path.to_path_buf()]);
@@ -165,13 +165,26 @@ pub(super) fn find(path: &Path) -> Result<Vec<Series>, ImageError> {
         if n_other > 0 {
             series.notes.push(format!("{n_other} file(s) that are not DICOM were passed over"));
         }
+        if n_without_image > 0 {
+            series.notes.push(format!(
+                "{n_without_image} DICOM file(s) without an image (reports, plans, the index of a disc) were passed over"
+            ));
+        }
     }
     Ok(all)
 }
 
 /// The series that is meant.
 pub(super) fn chosen(path: &Path, choice: &SeriesChoice) -> Result<Series, ImageError> {
-    let mut all = find(path)?;
+    chosen_of(path, find(path)?, choice)
+}
+
+/// The one of several series that is meant; a refusal lists them as they are.
+pub(super) fn chosen_of(
+    path: &Path,
+    mut all: Vec<Series>,
+    choice: &SeriesChoice,
+) -> Result<Series, ImageError> {
     let refuse = |reason: String| Err(ImageError::Series { folder: path.to_path_buf(), reason });
     let list = |all: &[Series]| {
         let lines = all.iter().enumerate().map(|(n, s)| format!("\n  {}: {}", n + 1, s.summary()));

@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use dicom_core::header::HasLength;
 use dicom_core::value::DataSetSequence;
 use dicom_core::{DataElement, PrimitiveValue, VR};
 use dicom_dictionary_std::tags;
@@ -76,6 +77,7 @@ const KEPT: &[(Tag, Rule)] = &[
     (tags::RESCALE_SLOPE, Rule::Numbers),
     (tags::RESCALE_INTERCEPT, Rule::Numbers),
     (tags::RESCALE_TYPE, Rule::Words(&["US", "HU", "OD", "HU_MOD", "MGML", "PCT"])),
+    (tags::UNITS, Rule::WordsOrNone(PET_UNITS)),
     (tags::DOSE_GRID_SCALING, Rule::Numbers),
     (tags::DOSE_UNITS, Rule::WordsOrNone(&["GY", "RELATIVE"])),
     (tags::DOSE_TYPE, Rule::WordsOrNone(&["PHYSICAL", "EFFECTIVE", "ERROR"])),
@@ -84,6 +86,10 @@ const KEPT: &[(Tag, Rule)] = &[
     (tags::LOSSY_IMAGE_COMPRESSION_RATIO, Rule::Numbers),
     (tags::LOSSY_IMAGE_COMPRESSION_METHOD, Rule::WordsOrNone(LOSSY_METHODS)),
     (tags::KVP, Rule::Numbers),
+    // Which of several volumes at one place they are of.
+    (tags::ACQUISITION_NUMBER, Rule::Numbers),
+    (tags::TEMPORAL_POSITION_IDENTIFIER, Rule::Numbers),
+    (tags::ECHO_NUMBERS, Rule::Numbers),
     // How they are shown.
     (tags::WINDOW_CENTER, Rule::Numbers),
     (tags::WINDOW_WIDTH, Rule::Numbers),
@@ -192,6 +198,29 @@ const PHOTOMETRIC: &[&str] = &[
     "YBR_RCT",
 ];
 
+/// What values of PET are (DICOM PS3.3, C.8.9.1.1.3).
+const PET_UNITS: &[&str] = &[
+    "CNTS",
+    "NONE",
+    "CM2",
+    "CM2ML",
+    "PCNT",
+    "CPS",
+    "BQML",
+    "MGMINML",
+    "UMOLMINML",
+    "MLMING",
+    "MLG",
+    "1CM",
+    "UMOLML",
+    "PROPCNTS",
+    "PROPCPS",
+    "MLMINML",
+    "MLML",
+    "GML",
+    "STDDEV",
+];
+
 const DOSE_SUMMATIONS: &[&str] = &[
     "PLAN",
     "MULTI_PLAN",
@@ -230,12 +259,17 @@ fn dictionary_name(tag: Tag) -> String {
 /// What is kept of an object and of the items in it.
 ///
 /// # Errors
-/// An element that should be numbers, or a word that the standard defines, and is not.
+/// An element that should be numbers, items, or a word that the standard defines, and is not; values that mean something
+/// by a table.
 pub(super) fn kept_of(
     file: &Path,
     object: &InMemDicomObject,
     identifiers: &NewIdentifiers,
 ) -> Result<InMemDicomObject, ImageError> {
+    if object.get(tags::MODALITY_LUT_SEQUENCE).is_some() {
+        let allowed = "a slope and an intercept: tables are not copied, and without theirs the values mean something else";
+        return Err(refuse(file, tags::MODALITY_LUT_SEQUENCE, "a table of values", allowed));
+    }
     let mut bare = InMemDicomObject::new_empty();
     for &(tag, rule) in KEPT {
         let Some(element) = object.get(tag) else { continue };
@@ -286,7 +320,19 @@ fn kept_element(
             class_of_the_standard(file, &words().concat()).ok().map(|class| as_word(VR::UI, class))
         }
         Rule::Items => {
-            let items = element.items().unwrap_or_default();
+            // Programs that do not know a sequence write its bytes.
+            let items = match element.items() {
+                Some(items) => items,
+                None if element.is_empty() => &[],
+                None => {
+                    return Err(refuse(
+                        file,
+                        tag,
+                        "no sequence (of unknown kind, UN?)",
+                        "items, as the standard says",
+                    ));
+                }
+            };
             let bare: Result<Vec<_>, _> = items.iter().map(|item| kept_of(file, item, identifiers)).collect();
             Some(DataElement::new(tag, VR::SQ, DataSetSequence::from(bare?)))
         }

@@ -26,6 +26,22 @@ pub struct TriMesh {
 }
 
 impl TriMesh {
+    /// `triangles` over some of the `positions_m` [m], with the vertices they use in the old order; in time that depends on the
+    /// triangles alone.
+    ///
+    /// # Panics
+    /// When a triangle names a vertex that is not there.
+    pub fn over(positions_m: &[DVec3], triangles: &[[u32; 3]]) -> Self {
+        let mut used: Vec<u32> = triangles.iter().flatten().copied().collect();
+        used.sort_unstable();
+        used.dedup();
+        let at = |v: u32| used.binary_search(&v).expect("a corner is used") as u32;
+        Self {
+            positions_m: used.iter().map(|&v| positions_m[v as usize]).collect(),
+            triangles: triangles.iter().map(|t| t.map(at)).collect(),
+        }
+    }
+
     /// Corners of triangle `index` [m].
     pub fn corners_m(&self, index: usize) -> [DVec3; 3] {
         self.triangles[index].map(|v| self.positions_m[v as usize])

@@ -1,5 +1,6 @@
 //! Copies of DICOM series without the patient.
 
+use crate::sample_images::damaged;
 use std::path::{Path, PathBuf};
 
 use dicom_core::value::{DataSetSequence, PixelFragmentSequence};
@@ -492,14 +493,7 @@ proptest! {
         kept in any::<prop::sample::Index>(),
         cut in any::<bool>(),
     ) {
-        let mut bytes = good_file().to_vec();
-        for (place, value) in changes {
-            let n = bytes.len();
-            bytes[place.index(n)] = value;
-        }
-        if cut {
-            bytes.truncate(kept.index(bytes.len() + 1));
-        }
+        let bytes = damaged(good_file(), changes, usize::MAX, cut.then_some(kept));
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("damaged.dcm");
         std::fs::write(&path, bytes).unwrap();

@@ -1,5 +1,6 @@
 //! DICOM folders, frames and segmentations, written element by element.
 
+use crate::sample_images::damaged;
 use std::path::{Path, PathBuf};
 
 use dicom_core::{DataElement, PrimitiveValue, VR, value::DataSetSequence};
@@ -555,14 +556,7 @@ proptest! {
         kept in any::<prop::sample::Index>(),
         cut in any::<bool>(),
     ) {
-        let mut bytes = good_files()[which].clone();
-        for (place, value) in changes {
-            let n = bytes.len();
-            bytes[place.index(n)] = value;
-        }
-        if cut {
-            bytes.truncate(kept.index(bytes.len() + 1));
-        }
+        let bytes = damaged(&good_files()[which], changes, usize::MAX, cut.then_some(kept));
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("damaged.dcm");
         std::fs::write(&path, bytes).unwrap();

@@ -10,7 +10,7 @@ use glisson_mesh::image::{LabelMap, Volume};
 use glisson_mesh::math::{DMat3, DVec3};
 use proptest::prelude::*;
 
-use crate::sample_images::{assert_same_place, oblique_grid, plain_grid};
+use crate::sample_images::{assert_same_place, damaged, oblique_grid, plain_grid};
 
 /// Names of files that can be written, one of each way.
 const WRITTEN: [&str; 5] = ["a.nii", "a.nii.gz", "a.nrrd", "a.seg.nrrd", "a.mha"];
@@ -466,15 +466,9 @@ proptest! {
         cut in any::<bool>(),
     ) {
         let (name, good) = &good_files()[which.index(good_files().len())];
-        let mut bytes = good.clone();
-        for (place, value) in changes {
-            // Half the cases aim at the header.
-            let n = if early { bytes.len().min(352) } else { bytes.len() };
-            bytes[place.index(n)] = value;
-        }
-        if cut {
-            bytes.truncate(kept.index(bytes.len() + 1));
-        }
+        // Half the cases aim at the header.
+        let reach = if early { 352 } else { usize::MAX };
+        let bytes = damaged(good, changes, reach, cut.then_some(kept));
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(name);
         std::fs::write(&path, bytes).unwrap();

@@ -10,7 +10,7 @@ use glisson_mesh::math::{DMat3, DVec3};
 use proptest::prelude::*;
 use tiff::encoder::{TiffEncoder, colortype};
 
-use super::sample_images::assert_same_place;
+use super::sample_images::{assert_same_place, damaged};
 
 const COLUMNS: usize = 5;
 const ROWS: usize = 4;
@@ -530,13 +530,7 @@ proptest! {
         if let Some(size) = size.filter(|_| name == "1.png") {
             with_size(&mut bytes, size);
         }
-        for (place, value) in changes {
-            let n = bytes.len();
-            bytes[place.index(n)] = value;
-        }
-        if cut {
-            bytes.truncate(kept.index(bytes.len() + 1));
-        }
+        let bytes = damaged(&bytes, changes, usize::MAX, cut.then_some(kept));
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join(name), bytes).unwrap();
         match read_slices(folder.path(), &PLAIN) {

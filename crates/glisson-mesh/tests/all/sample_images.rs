@@ -1,7 +1,8 @@
-//! Grids that tests of images share.
+//! Grids and damaged files that tests of images share.
 
 use glisson_mesh::image::VoxelGrid;
 use glisson_mesh::math::{DMat3, DVec3};
+use proptest::sample::Index;
 
 pub(super) fn plain_grid(dims: [usize; 3], spacing_mm: [f64; 3]) -> VoxelGrid {
     VoxelGrid {
@@ -26,4 +27,22 @@ pub(super) fn assert_same_place(a: &VoxelGrid, b: &VoxelGrid) {
         let distance_m = a.position_m(voxel).distance(b.position_m(voxel));
         assert!(distance_m < 1e-8, "voxel {voxel} is {distance_m} m away");
     }
+}
+
+/// The bytes of a file with some of the first `reach` changed, and what stands behind a place cut off.
+pub(super) fn damaged(
+    good: &[u8],
+    changes: Vec<(Index, u8)>,
+    reach: usize,
+    cut_at: Option<Index>,
+) -> Vec<u8> {
+    let mut bytes = good.to_vec();
+    for (place, value) in changes {
+        let n = bytes.len().min(reach);
+        bytes[place.index(n)] = value;
+    }
+    if let Some(kept) = cut_at {
+        bytes.truncate(kept.index(bytes.len() + 1));
+    }
+    bytes
 }

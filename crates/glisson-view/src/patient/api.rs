@@ -149,10 +149,7 @@ fn take_as_values(shared: &Arc<Shared>) -> Response {
 }
 
 fn find_organ(shared: &Arc<Shared>, choice: OrganChoice) -> Response {
-    let (image, organs) = {
-        let steps = shared.steps();
-        (steps.image.clone(), Arc::clone(&steps.organs))
-    };
+    let (image, organs) = shared.image_and_organs();
     begin(shared, "finding the organ", move |_| {
         let image = image.context("there is no image yet")?;
         let organs = organs.with(choice.find(&image)?, image.grid())?;
@@ -161,10 +158,7 @@ fn find_organ(shared: &Arc<Shared>, choice: OrganChoice) -> Response {
 }
 
 fn remove_organ(shared: &Arc<Shared>, name: String) -> Response {
-    let (image, organs) = {
-        let steps = shared.steps();
-        (steps.image.clone(), Arc::clone(&steps.organs))
-    };
+    let (image, organs) = shared.image_and_organs();
     begin(shared, "removing an organ", move |_| {
         let image = image.context("there is no image yet")?;
         let organs = organs.without(&name, image.grid());
@@ -216,10 +210,7 @@ type SliceAt = (String, f64, f64, f64, f64, f64);
 
 async fn slice(State(shared): State<Arc<Shared>>, UrlPath(at): UrlPath<SliceAt>) -> Response {
     let (plane, x, y, z, centre, width) = at;
-    let (image, organs) = {
-        let steps = shared.steps();
-        (steps.image.clone(), Arc::clone(&steps.organs))
-    };
+    let (image, organs) = shared.image_and_organs();
     drawn(move || {
         let image = image.context("there is no image yet")?;
         let numbers = [x, y, z, centre, width];

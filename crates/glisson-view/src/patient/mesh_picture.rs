@@ -4,6 +4,7 @@ use anyhow::ensure;
 use glisson::math::{Aabb, DVec3};
 use glisson::mesh::TetId;
 use glisson::mesh::quality::FACES;
+use glisson::surface::TriMesh;
 
 use super::tetrahedra::{Meshed, QUALITY_STEPS, step_of};
 use crate::picture::{Camera, Look, Picture, PictureScene, ShadedSurface, SlicePlane, View};
@@ -106,7 +107,7 @@ impl Meshed {
         }
         let mut surfaces: Vec<ShadedSurface> = Vec::new();
         for (name, triangles) in self.names.iter().zip(outer).filter(|(_, triangles)| !triangles.is_empty()) {
-            surfaces.push(self.compact(triangles, Look::of_structure(name)));
+            surfaces.push(self.compact(&triangles, Look::of_structure(name)));
         }
         for (at, faces) in flat.into_iter().enumerate().filter(|(_, faces)| !faces.triangles.is_empty()) {
             let colour = match view.colours {
@@ -139,15 +140,8 @@ impl Meshed {
     }
 
     /// Triangles of the mesh's nodes over their own vertices.
-    fn compact(&self, mut triangles: Vec<[u32; 3]>, look: Look) -> ShadedSurface {
-        let mut used: Vec<u32> = triangles.iter().flatten().copied().collect();
-        used.sort_unstable();
-        used.dedup();
-        for vertex in triangles.iter_mut().flatten() {
-            let place = used.binary_search(vertex).expect("every vertex was listed");
-            *vertex = u32::try_from(place).expect("there are fewer than of the mesh");
-        }
-        let positions_m: Vec<DVec3> = used.iter().map(|&node| self.mesh.positions_m[node as usize]).collect();
+    fn compact(&self, triangles: &[[u32; 3]], look: Look) -> ShadedSurface {
+        let TriMesh { positions_m, triangles } = TriMesh::over(&self.mesh.positions_m, triangles);
         ShadedSurface { rest_positions_m: positions_m.clone(), positions_m, triangles, look }
     }
 }

@@ -86,6 +86,12 @@ impl Shared {
         self.steps.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// The image, and the organs that were found in it.
+    pub(super) fn image_and_organs(&self) -> (Option<Arc<Image>>, Arc<Organs>) {
+        let steps = self.steps();
+        (steps.image.clone(), Arc::clone(&steps.organs))
+    }
+
     /// What runs.
     pub(super) fn running(&self) -> Option<&'static str> {
         self.steps().job.as_ref().map(|job| job.what)

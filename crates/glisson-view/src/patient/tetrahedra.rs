@@ -3,11 +3,12 @@
 use anyhow::{Context, ensure};
 use glisson::image::LabelMap;
 use glisson::image::labels::{mask_volume_m3, sides_at_border};
+use glisson::mesh::faults::drop_loose_nodes;
 use glisson::mesh::generate::{MeshParams, WantedSize, generate};
 use glisson::mesh::organs::{Grading, OrganMesh, OrganMeshParams, OrganSize, mesh_organs};
 use glisson::mesh::quality::{MeshQuality, dihedral_cosine_range};
 use glisson::mesh::topology::{Through, Topology};
-use glisson::mesh::{NodeId, TetId, TetMesh};
+use glisson::mesh::{TetId, TetMesh};
 use glisson::progress::part;
 use glisson::surface::extract::{SurfaceParams, surface_of_mask};
 use rayon::prelude::*;
@@ -210,17 +211,12 @@ fn without_crumbs(mesh: TetMesh, label_of: Vec<u16>) -> anyhow::Result<(TetMesh,
 
 /// The tetrahedra that are taken, over their nodes, in the same order.
 fn extracted(mesh: &TetMesh, label_of: &[u16], is_taken: impl Fn(usize) -> bool) -> (TetMesh, Vec<u16>) {
-    let mut new_id: Vec<Option<NodeId>> = vec![None; mesh.positions_m.len()];
-    let (mut part, mut labels) = (TetMesh::default(), Vec::new());
-    for (t, nodes) in mesh.tetrahedra.iter().enumerate().filter(|(t, _)| is_taken(*t)) {
-        let nodes = nodes.map(|node| {
-            *new_id[node.index()].get_or_insert_with(|| {
-                part.positions_m.push(mesh.positions_m[node.index()]);
-                NodeId::from_index(part.positions_m.len() - 1)
-            })
-        });
-        part.tetrahedra.push(nodes);
-        labels.push(label_of[t]);
-    }
-    (part, labels)
+    let taken = || (0..mesh.tetrahedra.len()).filter(|t| is_taken(*t));
+    let mut part = TetMesh {
+        positions_m: mesh.positions_m.clone(),
+        tetrahedra: taken().map(|t| mesh.tetrahedra[t]).collect(),
+        ..TetMesh::default()
+    };
+    drop_loose_nodes(&mut part);
+    (part, taken().map(|t| label_of[t]).collect())
 }

@@ -14,7 +14,7 @@ mod tiff_slice;
 
 use std::path::{Path, PathBuf};
 
-use self::picture::{Colours, Picture, Shape};
+use self::picture::{Colours, Picture, Shape, refuse};
 use super::error::ImageError;
 use super::masks::files_in;
 use super::placement::right_angled;
@@ -85,11 +85,6 @@ fn number_in(file: &Path) -> Option<u64> {
 
 fn name_of(file: &Path) -> String {
     file.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-/// A folder of slices that cannot be read, and why.
-fn refuse(folder: &Path, reason: String) -> ImageError {
-    ImageError::Series { folder: folder.to_path_buf(), reason }
 }
 
 /// Why the pictures right in a folder are no image as long as nobody says how large their voxels are; none where there
@@ -182,7 +177,7 @@ pub fn read_slices(folder: &Path, options: &SliceOptions) -> Result<StoredImage,
     let raw = match (kind, options.raw) {
         (Kind::Raw, None) => {
             let reason = "slices without a header (.raw, .rgb) do not say how large they are; say it with --size COLUMNS,ROWS";
-            return Err(refuse(folder, reason.into()));
+            return Err(refuse(folder, reason));
         }
         (Kind::Raw, Some(raw)) => raw,
         (_, Some(_)) => {

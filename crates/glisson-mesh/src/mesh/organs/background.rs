@@ -52,11 +52,11 @@ impl Background {
         }
     }
 
-    /// Nodes that share an edge with an interior node.
-    pub(super) fn neighbours(&self, node: usize) -> Vec<usize> {
+    /// Nodes that share an edge with each of some interior nodes.
+    pub(super) fn neighbours_of(&self, nodes: &[usize]) -> Vec<Vec<usize>> {
         match self {
-            Self::Even(lattice) => lattice.neighbours(node).to_vec(),
-            Self::Graded(graded, _) => graded.neighbours(node).iter().map(|&n| n as usize).collect(),
+            Self::Even(lattice) => nodes.iter().map(|&node| lattice.neighbours(node).to_vec()).collect(),
+            Self::Graded(graded, _) => graded.neighbours_of(nodes),
         }
     }
 

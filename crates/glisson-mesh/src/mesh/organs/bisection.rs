@@ -37,9 +37,6 @@ pub(super) struct Graded {
     pub(super) cell_m: Vec<f64>,
     /// Volume of each node: a quarter of its tetrahedra's [m3].
     pub(super) volume_m3: Vec<f64>,
-    /// Neighbours of all nodes in turn, and where those of each begin.
-    neighbours: Vec<u32>,
-    first_neighbour: Vec<u32>,
 }
 
 type Edge = (u32, u32);
@@ -187,7 +184,6 @@ impl Bisector<'_> {
             volume_m3: vec![0.0; n_nodes],
             ..Graded::default()
         };
-        let mut edges = Vec::with_capacity(12 * alive.len());
         for &tet in &alive {
             let nodes = self.tets[tet];
             let (length2, _) = self.longest(tet as u32);
@@ -197,23 +193,29 @@ impl Bisector<'_> {
                 graded.cell_m[node] = graded.cell_m[node].min(cell_m);
                 graded.volume_m3[node] += 0.25 * volume_m3;
             }
-            edges.extend(EDGES.iter().flat_map(|&[a, b]| [(nodes[a], nodes[b]), (nodes[b], nodes[a])]));
         }
-        edges.sort_unstable();
-        edges.dedup();
-        graded.first_neighbour = vec![0; n_nodes + 1];
-        edges.iter().for_each(|(from, _)| graded.first_neighbour[*from as usize + 1] += 1);
-        (0..n_nodes).for_each(|n| graded.first_neighbour[n + 1] += graded.first_neighbour[n]);
-        graded.neighbours = edges.into_iter().map(|(_, to)| to).collect();
         graded.is_interior = self.is_interior;
         graded
     }
 }
 
 impl Graded {
-    /// Nodes that share an edge with a node, ascending.
-    pub(super) fn neighbours(&self, node: usize) -> &[u32] {
-        &self.neighbours[self.first_neighbour[node] as usize..self.first_neighbour[node + 1] as usize]
+    /// Nodes that share an edge with each of some nodes, ascending.
+    pub(super) fn neighbours_of(&self, nodes: &[usize]) -> Vec<Vec<usize>> {
+        let place_of: HashMap<usize, usize> = nodes.iter().copied().zip(0..).collect();
+        let mut neighbours = vec![Vec::new(); nodes.len()];
+        for corners in self.tets.iter().map(|tet| tet.map(|n| n as usize)) {
+            for node in corners {
+                if let Some(&place) = place_of.get(&node) {
+                    neighbours[place].extend(corners.into_iter().filter(|&other| other != node));
+                }
+            }
+        }
+        for list in &mut neighbours {
+            list.sort_unstable();
+            list.dedup();
+        }
+        neighbours
     }
 }
 
@@ -223,7 +225,7 @@ mod tests {
     use super::super::params::FinerBall;
     use super::*;
     use crate::mesh::quality::{FACES, dihedral_cosine_range};
-    use std::collections::BTreeMap;
+    use std::collections::{BTreeMap, BTreeSet};
 
     fn refined(factor: f64) -> (Lattice, Graded) {
         let lattice = Lattice { dims: [9; 3], cell_m: 0.01, origin_m: DVec3::ZERO };
@@ -275,12 +277,16 @@ mod tests {
     #[test]
     fn neighbours_are_the_other_ends_of_edges() {
         let (_, graded) = refined(2.0);
-        for tet in &graded.tets {
+        let all: Vec<usize> = (0..graded.positions_m.len()).collect();
+        let neighbours = graded.neighbours_of(&all);
+        let mut edges = BTreeSet::new();
+        for tet in graded.tets.iter().map(|tet| tet.map(|n| n as usize)) {
             for [a, b] in EDGES {
-                assert!(graded.neighbours(tet[a] as usize).contains(&tet[b]));
+                assert!(neighbours[tet[a]].contains(&tet[b]) && neighbours[tet[b]].contains(&tet[a]));
+                edges.extend([(tet[a], tet[b]), (tet[b], tet[a])]);
             }
         }
-        let n: usize = (0..graded.positions_m.len()).map(|n| graded.neighbours(n).len()).sum();
-        assert_eq!(n, graded.neighbours.len());
+        assert_eq!(neighbours.iter().map(Vec::len).sum::<usize>(), edges.len());
+        assert_eq!(graded.neighbours_of(&[7, 3]), [neighbours[7].clone(), neighbours[3].clone()]);
     }
 }

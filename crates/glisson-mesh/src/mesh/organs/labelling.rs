@@ -175,9 +175,9 @@ impl Labelling {
             (0..n).filter(|&n| is_crumb[n] && self.lattice.is_interior(n)).collect();
         // Crumbs do not vote, and nothing else changes.
         let mut votes = vec![0usize; n_regions + 1];
-        for &node in &crumb_nodes {
+        for (&node, neighbours) in crumb_nodes.iter().zip(self.lattice.neighbours_of(&crumb_nodes)) {
             votes.fill(0);
-            for neighbour in self.lattice.neighbours(node).into_iter().filter(|&n| !is_crumb[n]) {
+            for neighbour in neighbours.into_iter().filter(|&n| !is_crumb[n]) {
                 votes[usize::from(self.regions[neighbour])] += 1;
             }
             let most = votes.iter().copied().max().unwrap_or(0);

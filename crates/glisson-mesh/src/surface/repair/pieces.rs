@@ -192,7 +192,7 @@ fn nest(mesh: &TriMesh, pieces: &mut [Piece]) {
         .map(|piece| {
             let triangles: Vec<[u32; 3]> =
                 piece.triangles.iter().map(|&t| mesh.triangles[t as usize]).collect();
-            local(mesh, &triangles)
+            TriMesh::over(&mesh.positions_m, &triangles)
         })
         .collect();
     let bounds: Vec<Aabb> = meshes.iter().map(|m| Aabb::of_points(&m.positions_m)).collect();
@@ -219,16 +219,6 @@ fn nest(mesh: &TriMesh, pieces: &mut [Piece]) {
             }
         }
     }
-}
-
-/// `triangles` of `mesh` with their own vertices, in time that depends on the triangles alone.
-fn local(mesh: &TriMesh, triangles: &[[u32; 3]]) -> TriMesh {
-    let mut used: Vec<u32> = triangles.iter().flatten().copied().collect();
-    used.sort_unstable();
-    used.dedup();
-    let positions_m: Vec<DVec3> = used.iter().map(|&v| mesh.positions_m[v as usize]).collect();
-    let at = |v: u32| used.binary_search(&v).expect("a corner is used") as u32;
-    TriMesh { positions_m, triangles: triangles.iter().map(|t| t.map(at)).collect() }
 }
 
 /// `mesh` without the triangles of the pieces that `stays` denies.

@@ -29,7 +29,7 @@ use dicom_object::{DefaultDicomObject, FileMetaTableBuilder, InMemDicomObject, T
 use self::identifiers::NewIdentifiers;
 use super::super::error::ImageError;
 use super::frames::{frames_of, text};
-use super::pixels::coding_of;
+use super::pixels::{coding_of, syntax_of};
 use super::series::{self, SeriesChoice, causes, is_dicom, open};
 use crate::files::fill_folder_atomically;
 
@@ -278,9 +278,8 @@ fn write_copy(
     seen: &mut Seen,
 ) -> Result<(), Failure> {
     let object = open(file, true)?;
-    let syntax = object.meta().transfer_syntax().trim_end_matches(['\0', ' ']).to_owned();
     let bare = bare_copy(file, &object, identifiers, numbers, seen)?;
-    let meta = FileMetaTableBuilder::new().transfer_syntax(&syntax);
+    let meta = FileMetaTableBuilder::new().transfer_syntax(syntax_of(&object));
     let refuse = |error: &dyn std::error::Error| ImageError::Series {
         folder: file.to_path_buf(),
         reason: format!("it cannot be copied: {}", causes(error)),
@@ -300,7 +299,7 @@ fn bare_copy(
     numbers: &Numbers,
     seen: &mut Seen,
 ) -> Result<InMemDicomObject, ImageError> {
-    let coding = coding_of(file, object.meta().transfer_syntax().trim_end_matches(['\0', ' ']))?;
+    let coding = coding_of(file, syntax_of(object))?;
     let mut bare = kept::kept_of(file, object, identifiers)?;
     let class = match text(&bare, tags::SOP_CLASS_UID) {
         Some(class) => class,

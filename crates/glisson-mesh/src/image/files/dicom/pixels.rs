@@ -141,6 +141,11 @@ pub(super) struct Pixels<'a> {
     plain: Vec<u8>,
 }
 
+/// The identifier of a file's transfer syntax, without what fills it up.
+pub(super) fn syntax_of(object: &DefaultDicomObject) -> &str {
+    object.meta().transfer_syntax().trim_end_matches(['\0', ' '])
+}
+
 impl<'a> Pixels<'a> {
     /// Those of `n_frames` frames of `dims` columns and rows.
     ///
@@ -153,7 +158,7 @@ impl<'a> Pixels<'a> {
         n_frames: usize,
     ) -> Result<Self, ImageError> {
         let kind = PixelKind::of(file, object)?;
-        let uid = object.meta().transfer_syntax().trim_end_matches(['\0', ' ']);
+        let uid = syntax_of(object);
         let coding = coding_of(file, uid)?;
         let mut plain = Vec::new();
         if coding == Coding::Plain {

@@ -59,14 +59,14 @@ impl Shape {
         if [columns, rows].iter().any(|&n| n == 0 || n > MAX_SIDE as usize) {
             return Err(refuse(
                 file,
-                &format!("{columns} x {rows} pixels, 1 to {MAX_SIDE} allowed along each side"),
+                format!("{columns} x {rows} pixels, 1 to {MAX_SIDE} allowed along each side"),
             ));
         }
         let n_bytes = self.n_bytes();
         if n_bytes > n_file_bytes.saturating_mul(max_ratio) {
             return Err(refuse(
                 file,
-                &format!(
+                format!(
                     "it promises {columns} x {rows} pixels ({n_bytes} bytes), which cannot be in {n_file_bytes} bytes; the \
                      file is cut or damaged, copy it again"
                 ),
@@ -76,9 +76,9 @@ impl Shape {
     }
 }
 
-/// A picture that cannot be read, and why.
-pub(super) fn refuse(file: &Path, reason: &str) -> ImageError {
-    ImageError::Series { folder: file.to_path_buf(), reason: reason.to_owned() }
+/// A picture, or a folder of them, that cannot be read, and why.
+pub(super) fn refuse(place: &Path, reason: impl Into<String>) -> ImageError {
+    ImageError::Series { folder: place.to_path_buf(), reason: reason.into() }
 }
 
 /// The numbers of a picture, those of a pixel together, row by row; and what it is.

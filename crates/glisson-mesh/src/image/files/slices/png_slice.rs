@@ -16,7 +16,7 @@ const MAX_DECODER_BYTES: usize = 1 << 26;
 
 fn open(file: &Path) -> Result<(Reader<BufReader<File>>, Shape), ImageError> {
     let io_error = |source| ImageError::Io { file: file.to_path_buf(), source };
-    let damaged = |error: &dyn std::fmt::Display| refuse(file, &format!("damaged or no PNG: {error}"));
+    let damaged = |error: &dyn std::fmt::Display| refuse(file, format!("damaged or no PNG: {error}"));
     let opened = File::open(file).map_err(io_error)?;
     let n_file_bytes = opened.metadata().map_err(io_error)?.len();
     let mut decoder = Decoder::new_with_limits(BufReader::new(opened), Limits { bytes: MAX_DECODER_BYTES });
@@ -55,7 +55,7 @@ pub(super) fn shape(file: &Path) -> Result<Shape, ImageError> {
 pub(super) fn read(file: &Path) -> Result<Picture, ImageError> {
     let (mut reader, shape) = open(file)?;
     let damaged =
-        |error: &dyn std::fmt::Display| refuse(file, &format!("damaged PNG: {error}; copy it again"));
+        |error: &dyn std::fmt::Display| refuse(file, format!("damaged PNG: {error}; copy it again"));
     let n_bytes = reader.output_buffer_size().filter(|&n| n as u64 == shape.n_bytes());
     let n_bytes = n_bytes.ok_or_else(|| damaged(&"another number of bytes than its header says"))?;
     let mut bytes = vec![0; n_bytes];

@@ -33,7 +33,7 @@ pub(super) fn shape(file: &Path, raw: &RawSlices) -> Result<Shape, ImageError> {
                 "{found} bytes, allowed for slices of {columns} x {rows} pixels: {allowed} (24-bit colour) or {n_pixels} \
                  (8-bit grey); correct `--size`"
             );
-            Err(refuse(file, &reason))
+            Err(refuse(file, reason))
         }
     }
 }

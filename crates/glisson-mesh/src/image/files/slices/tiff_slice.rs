@@ -18,7 +18,7 @@ const MAX_ENTRY_BYTES: usize = 1 << 22;
 
 fn open(file: &Path) -> Result<(Decoder<BufReader<File>>, Shape), ImageError> {
     let io_error = |source| ImageError::Io { file: file.to_path_buf(), source };
-    let damaged = |error: tiff::TiffError| refuse(file, &format!("damaged or no TIFF that is read: {error}"));
+    let damaged = |error: tiff::TiffError| refuse(file, format!("damaged or no TIFF that is read: {error}"));
     let opened = File::open(file).map_err(io_error)?;
     let n_file_bytes = opened.metadata().map_err(io_error)?.len();
     let mut limits = Limits::default();
@@ -41,7 +41,7 @@ fn open(file: &Path) -> Result<(Decoder<BufReader<File>>, Shape), ImageError> {
             let reason = format!(
                 "a TIFF of {other:?}, allowed: grey or RGB with 8 or 16 bits a number; convert the slices"
             );
-            return Err(refuse(file, &reason));
+            return Err(refuse(file, reason));
         }
     };
     let is_planar = decoder.find_tag_unsigned::<u16>(Tag::PlanarConfiguration).map_err(damaged)? == Some(2);
@@ -56,7 +56,7 @@ fn open(file: &Path) -> Result<(Decoder<BufReader<File>>, Shape), ImageError> {
             "a TIFF that is to be turned or mirrored to be looked at (Orientation {turn}), allowed: none, or 1 (its first \
              row above, its first column left); turn the pixels themselves, e.g. with mogrify -auto-orient"
         );
-        return Err(refuse(file, &reason));
+        return Err(refuse(file, reason));
     }
     let (columns, rows) = decoder.dimensions().map_err(damaged)?;
     let size = [columns as usize, rows as usize];
@@ -78,7 +78,7 @@ pub(super) fn shape(file: &Path) -> Result<Shape, ImageError> {
 pub(super) fn read(file: &Path) -> Result<Picture, ImageError> {
     let (mut decoder, shape) = open(file)?;
     let result = decoder.read_image();
-    let result = result.map_err(|error| refuse(file, &format!("damaged TIFF: {error}; copy it again")))?;
+    let result = result.map_err(|error| refuse(file, format!("damaged TIFF: {error}; copy it again")))?;
     let samples = match result {
         DecodingResult::U8(bytes) => bytes.into_iter().map(u16::from).collect(),
         DecodingResult::U16(words) => words,
@@ -92,7 +92,7 @@ pub(super) fn read(file: &Path) -> Result<Picture, ImageError> {
     let expected = shape.n_pixels() * shape.n_samples;
     if samples.len() != expected {
         let reason = format!("damaged TIFF: {} numbers, {expected} expected; copy it again", samples.len());
-        return Err(refuse(file, &reason));
+        return Err(refuse(file, reason));
     }
     Ok(Picture { shape, samples })
 }

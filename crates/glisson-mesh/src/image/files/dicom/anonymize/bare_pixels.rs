@@ -14,7 +14,7 @@ use dicom_object::mem::InMemElement;
 
 use super::super::super::error::ImageError;
 use super::super::frames::{integer, wrong};
-use super::super::pixels::{Coding, PixelKind, has_turned_halves};
+use super::super::pixels::{Coding, PixelKind, has_turned_halves, syntax_of};
 use super::bare_streams::clear_fragments;
 use super::kept::refuse;
 
@@ -120,8 +120,7 @@ fn bare_words(
     let mut bytes = words.to_bytes().into_owned();
     bytes.resize(n_used.next_multiple_of(n_word_bytes.max(2)), 0);
     bytes[n_used..].fill(0);
-    let syntax = object.meta().transfer_syntax().trim_end_matches(['\0', ' ']);
-    let is_turned = has_turned_halves(syntax, kind, vr);
+    let is_turned = has_turned_halves(syntax_of(object), kind, vr);
     let rotate = |pixels: &mut [u8]| {
         if is_turned {
             pixels.chunks_exact_mut(4).for_each(|number| number.rotate_left(2));

@@ -3,7 +3,7 @@
 //! ```text
 //! tool motion -> contact -> imposed displacements -> model's step -> reaction force -> haptics, report
 //!             -> cut -> mesh edit -> TopologyChange -> model, surface
-//! world -> record (snapshots, sessions, hash);  scene file -> world
+//! world -> record (snapshots, sessions, hash);  scene file -> world;  world -> training (metrics of a session)
 //! ```
 //!
 //! The modules stand in data-flow order; a module uses only modules above it (`xtask/tests/layering.rs`).
@@ -20,3 +20,4 @@ pub mod suture;
 pub mod record;
 pub mod world;
 pub mod scene;
+pub mod training;

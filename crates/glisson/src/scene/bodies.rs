@@ -138,7 +138,7 @@ fn parse_color(text: &str) -> Option<[u8; 3]> {
 
 #[cfg(test)]
 mod tests {
-    use crate::scene::{BodySource, RigidShape, Scene};
+    use crate::scene::{BodyShape, BodySource, Scene};
 
     const SCENE: &str = r##"glisson_scene = 1
 [[organ]]
@@ -174,7 +174,7 @@ home_shaft = [0, 0, 1]
         assert_eq!(names, ["liver", "organ 2", "spine"]);
         assert_eq!(scene.bodies[0].color, Some([0x8c, 0x3a, 0x30]));
         let BodySource::Rigid(rigid) = &scene.bodies[2].source else { panic!("it is rigid") };
-        assert!(matches!(rigid.shape, RigidShape::Ball { .. }));
+        assert!(matches!(rigid.source.shape, BodyShape::Ball { .. }));
         assert!(scene.world.body_contact.is_some() && scene.world.self_contact.is_none());
         assert_eq!(scene.attachments[0].bodies, [0, 2]);
         let apart = Scene::parse(&(SCENE.to_owned() + "[contact]\nbodies = false\n")).unwrap();
@@ -197,7 +197,7 @@ home_shaft = [0, 0, 1]
             ("to = \"spine\"", "to = \"spines\"", "\"to\" is \"spines\"; allowed: liver, organ 2, spine"),
             ("\"ligament\"", "\"nail\"", "allowed: glue, ligament, membrane"),
             ("amplitude = \"10 mm\", ", "", "lacks \"amplitude\""),
-            ("ball = {", "bald = {", "lacks \"mesh, box, ball, cylinder or slab\""),
+            ("ball = {", "bald = {", "unknown key \"bald\""),
         ] {
             assert!(SCENE.contains(from), "{from}");
             let read = Scene::parse(&SCENE.replacen(from, to, 1));

@@ -1,133 +1,24 @@
 //! From a scene to an organ at rest: reads the mesh, finds the material and what holds it.
 
 use super::bodies::BodySource;
+use super::build_error::BuildError;
+use super::build_shape::{FileKind, ShapeBuilder};
 use super::material::{ElasticitySource, MaterialSource, TissuePartSource};
 use super::organ::OrganSource;
 use super::spec::Scene;
 use crate::contact::shapes::MeshShape;
-use crate::image::vessels::VesselFileError;
-use crate::material::tissues::{Tissue, TissueError};
-use crate::material::{LinearElastic, MaterialError};
+use crate::material::LinearElastic;
+use crate::material::tissues::Tissue;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
-use crate::mesh::faults::{FaultAction, ImportPolicy};
-use crate::mesh::files::{LABEL_FIELD, MeshFileError, read_mesh_with};
-use crate::mesh::generate::MeshingError;
 use crate::model::precomputed::{self};
 use crate::model::{BodyPart, BodySet, BodyZone, MeasuredSample, ModelError, OrganBody, TissueParts};
 use crate::solve::equilibrating_stress;
-use crate::surface::files::{SurfaceFileError, import_closed_surface};
+use crate::surface::files::import_closed_surface;
 use crate::tool::{Tool, ToolShape};
-use crate::world::organ::OrganError;
 use crate::world::spec::{Ligament, Load, Region, Support, WorldSpec, attachments, fixed_nodes, nodes_in};
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
-
-/// Why a scene gives no world.
-#[derive(Debug, thiserror::Error)]
-pub enum BuildError {
-    /// The mesh file.
-    #[error(transparent)]
-    MeshFile(#[from] MeshFileError),
-    /// The mesh is no body.
-    #[error("{}: {error}", file.display())]
-    Organ {
-        /// The mesh file.
-        file: PathBuf,
-        /// What is wrong with it.
-        error: OrganError,
-    },
-    /// Parts of other tissue in a mesh without labels.
-    #[error(
-        "{}: found no labels of tetrahedra, [[organ.part]] needs them: the cell field `{LABEL_FIELD}` of a .vtu file, which \
-         `glisson mesh-organs` writes",
-        file.display()
-    )]
-    NoLabels {
-        /// The mesh file.
-        file: PathBuf,
-    },
-    /// A part that the mesh has not.
-    #[error("{}: no tetrahedron has the label {label} of [[organ.part]]; labels found: {found}", file.display())]
-    NoSuchLabel {
-        /// The mesh file.
-        file: PathBuf,
-        /// The label.
-        label: i64,
-        /// Those that are there.
-        found: String,
-    },
-    /// The surface of an instrument's tip.
-    #[error(transparent)]
-    ToolShape(#[from] SurfaceFileError),
-    /// The organ's vessels.
-    #[error(transparent)]
-    Vessels(#[from] VesselFileError),
-    /// The tissue's name or numbers.
-    #[error(transparent)]
-    Tissue(#[from] TissueError),
-    /// The material's numbers.
-    #[error(transparent)]
-    Material(#[from] MaterialError),
-    /// Nothing holds the organ.
-    #[error(
-        "no node of {} lies in the scene's fixed regions ({n_regions} given): the organ would float; \
-         add [[organ.fixed]] with a region that holds some of it (the mesh spans {min_mm} to {max_mm} mm), or, with a dynamic \
-         model, a [[rigid]] body or another organ that carries it",
-        file.display()
-    )]
-    NothingFixed {
-        /// The mesh file.
-        file: PathBuf,
-        /// Regions in the scene.
-        n_regions: usize,
-        /// Smallest corner of the mesh [mm].
-        min_mm: DVec3,
-        /// Largest corner of the mesh [mm].
-        max_mm: DVec3,
-    },
-    /// A part of the scene that no node of the mesh belongs to.
-    #[error(
-        "no node of {} lies in the region of {what}: it would do nothing (the mesh spans {min_mm:.1} to {max_mm:.1} mm)",
-        file.display()
-    )]
-    EmptyRegion {
-        /// The mesh file.
-        file: PathBuf,
-        /// Which table, with its number from 1.
-        what: String,
-        /// Smallest corner of the mesh [mm].
-        min_mm: DVec3,
-        /// Largest corner of the mesh [mm].
-        max_mm: DVec3,
-    },
-    /// A body among several.
-    #[error("body \"{name}\": {error}")]
-    Body {
-        /// Its name.
-        name: String,
-        /// What is wrong with it.
-        error: Box<BuildError>,
-    },
-    /// Bodies that are too far from each other for an attachment.
-    #[error(
-        "[[attachment]] number {number}: no node of \"{}\" in its region is within {reach_mm} mm of \"{}\"", names[0], names[1]
-    )]
-    NothingAttached {
-        /// Its number from 1.
-        number: usize,
-        /// The bodies.
-        names: [String; 2],
-        /// Its reach [mm].
-        reach_mm: f64,
-    },
-    /// The surface of a rigid body cannot be filled with tetrahedra.
-    #[error("its surface cannot be meshed: {0}; another \"edge\" may help")]
-    Meshing(#[from] MeshingError),
-    /// The model that the scene asks for.
-    #[error(transparent)]
-    Model(#[from] ModelError),
-}
+use std::path::Path;
 
 /// A closed surface as the shape of a tip, in the frame of the tool.
 fn read_tool_shape(file: &Path) -> Result<MeshShape, BuildError> {
@@ -179,18 +70,18 @@ fn tissue_parts(
     sources: &[TissuePartSource],
     label_of: &[i64],
     density_kg_per_m3: f64,
-    file: &Path,
+    mesh: &str,
 ) -> Result<Option<TissueParts>, BuildError> {
     if sources.is_empty() {
         return Ok(None);
     }
     if label_of.is_empty() {
-        return Err(BuildError::NoLabels { file: file.to_owned() });
+        return Err(BuildError::NoLabels { mesh: mesh.to_owned() });
     }
     let labels: BTreeSet<i64> = label_of.iter().copied().collect();
     if let Some(missing) = sources.iter().find(|source| !labels.contains(&source.label)) {
         let found = labels.iter().take(MOST_LABELS_NAMED).map(i64::to_string).collect::<Vec<_>>().join(", ");
-        return Err(BuildError::NoSuchLabel { file: file.to_owned(), label: missing.label, found });
+        return Err(BuildError::NoSuchLabel { mesh: mesh.to_owned(), label: missing.label, found });
     }
     let materials = sources.iter().map(|source| read_elasticity(&source.elasticity, density_kg_per_m3));
     let part_of = |label: &i64| sources.iter().zip(0..).find(|(source, _)| source.label == *label);
@@ -202,17 +93,6 @@ fn tissue_parts(
 
 /// So many labels an error lists at most.
 const MOST_LABELS_NAMED: usize = 20;
-
-/// The mesh of an organ with the labels of its tetrahedra, if the file has any; its path is relative to `folder`.
-pub(super) fn read_organ_mesh(
-    source: &OrganSource,
-    folder: &Path,
-) -> Result<(TetMesh, Vec<i64>), BuildError> {
-    let policy =
-        ImportPolicy { faults: FaultAction::Refuse, unit: source.mesh_unit, ..ImportPolicy::default() };
-    let (mesh, report) = read_mesh_with(&folder.join(&source.mesh), &policy)?;
-    Ok((mesh, report.label_of))
-}
 
 /// An organ's tables with its mesh.
 pub(super) struct OrganTables<'a> {
@@ -233,7 +113,16 @@ pub(super) struct OrganTables<'a> {
 /// # Errors
 /// [`BuildError`]: an unreadable mesh, an unknown tissue, nothing that holds the organ.
 pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError> {
-    let (mesh, label_of) = read_organ_mesh(&scene.organ, folder)?;
+    organ_of(scene, folder, &mut ShapeBuilder::new(folder))
+}
+
+/// [`read_organ`] beside what else is made of the scene's shapes.
+pub(super) fn organ_of(
+    scene: &Scene,
+    folder: &Path,
+    shapes: &mut ShapeBuilder<'_>,
+) -> Result<OrganBody, BuildError> {
+    let (mesh, label_of) = shapes.mesh(&scene.organ.shape, FileKind::Tetrahedra)?;
     let WorldSpec { supports, ligaments, loads, .. } = &scene.world;
     let (mut supports, mut ligaments, mut loads) = (&supports[..], &ligaments[..], &loads[..]);
     if let Some(BodySource::Organ(_, own)) = scene.bodies.first().map(|body| &body.source) {
@@ -257,7 +146,7 @@ pub(super) fn organ_without_stress(
     folder: &Path,
 ) -> Result<OrganBody, BuildError> {
     let OrganTables { source, supports, ligaments, loads, mesh, label_of, may_float } = tables;
-    let file = folder.join(&source.mesh);
+    let name_of_mesh = source.shape.shape.name(folder);
     let (material, name) = read_material(&source.material)?;
     let WorldSpec { gravity_m_per_s2, time_step_s, .. } = &scene.world;
     let fixed = fixed_nodes(supports, &mesh.positions_m);
@@ -273,13 +162,18 @@ pub(super) fn organ_without_stress(
     for (what, number, region) in regions {
         if nodes_in(&[region], &mesh.positions_m).is_empty() {
             let what = format!("{what} number {number}");
-            return Err(BuildError::EmptyRegion { file, what, min_mm, max_mm });
+            return Err(BuildError::EmptyRegion { mesh: name_of_mesh, what, min_mm, max_mm });
         }
     }
     if fixed.is_empty() && attachments.is_empty() && !may_float {
-        return Err(BuildError::NothingFixed { file, n_regions: supports.len(), min_mm, max_mm });
+        return Err(BuildError::NothingFixed {
+            mesh: name_of_mesh,
+            n_regions: supports.len(),
+            min_mm,
+            max_mm,
+        });
     }
-    let parts = tissue_parts(&source.tissue_parts, &label_of, material.density_kg_per_m3(), &file)?;
+    let parts = tissue_parts(&source.tissue_parts, &label_of, material.density_kg_per_m3(), &name_of_mesh)?;
     let mut body = OrganBody::new(mesh, material, *time_step_s);
     body.material_text.insert_str(0, &name);
     body.tissue_parts = parts;

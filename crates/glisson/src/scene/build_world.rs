@@ -1,7 +1,9 @@
 //! From a scene to a world at rest.
 
-use super::build::{BuildError, read_organ, read_tools};
+use super::build::{organ_of, read_tools};
 use super::build_bodies::read_bodies;
+use super::build_error::BuildError;
+use super::build_shape::ShapeBuilder;
 use super::spec::Scene;
 use crate::image::vessels::read_vessels;
 use crate::model::{BodySet, OrganBody};
@@ -14,7 +16,7 @@ use std::path::Path;
 /// threads get `workers`.
 ///
 /// # Errors
-/// [`BuildError`] of [`read_organ`] and of models, a mesh that is no body, a rigid body's shape.
+/// [`BuildError`] of [`super::read_organ`] and of models, a mesh that is no body, a rigid body's shape.
 pub fn build_world(
     scene: &Scene,
     folder: &Path,
@@ -25,18 +27,22 @@ pub fn build_world(
     if let Some(file) = &scene.organ.vessels {
         spec.vessels = read_vessels(&folder.join(file))?;
     }
+    let mut shapes = ShapeBuilder::new(folder);
+    if spec.vessels.is_empty() {
+        spec.vessels = shapes.vessels(&scene.organ.shape);
+    }
     let kind = scene.organ.model;
     let (bodies, memory) = if scene.bodies.is_empty() {
-        (BodySet::single(OrganBody { workers, ..read_organ(scene, folder)? }), None)
+        (BodySet::single(OrganBody { workers, ..organ_of(scene, folder, &mut shapes)? }), None)
     } else {
-        let (bodies, memory) = read_bodies(scene, folder, workers, &mut spec)?;
+        let (bodies, memory) = read_bodies(scene, folder, &mut shapes, workers, &mut spec)?;
         (bodies, Some(memory))
     };
     let model = bodies.build_model(kind)?;
     spec.tissue = Some(bodies.joint.material);
     spec.tearing = scene.organ.tearing.map(|energy| Tearing { energy, material: bodies.joint.material });
     let mut world = World::new(spec, bodies.joint.mesh.clone(), model, kind)
-        .map_err(|error| BuildError::Organ { file: folder.join(&scene.organ.mesh), error })?;
+        .map_err(|error| BuildError::Organ { mesh: scene.organ.shape.shape.name(folder), error })?;
     if let Some(memory) = memory {
         world.start_in_touch(memory);
     }

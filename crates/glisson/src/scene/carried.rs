@@ -12,7 +12,7 @@
 //! Newton's method with shortened steps. Where it has none, because a piece falls or slides, the space itself is a weak spring:
 //! the forces are bounded, and what they leave unbalanced accelerates the piece.
 
-use super::build::BuildError;
+use super::build_error::BuildError;
 use crate::contact::response::NodeContact;
 use crate::contact::response::persistent::{ContactMemory, PlacesInTouch};
 use crate::math::{DMat3, DVec3, outer};

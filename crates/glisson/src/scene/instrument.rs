@@ -1,7 +1,7 @@
 //! `[tool]` or `[[tool]]`: the instruments and their scripted motion.
 
 use super::bodies::{BodySource, SceneBody};
-use super::organ::{OrganSource, required_point};
+use super::organ::OrganSource;
 use super::reader::{SceneError, Section};
 use super::when_cut::RefusedCuts;
 use crate::math::DVec3;
@@ -194,7 +194,7 @@ pub(super) fn read_tool(mut section: Section<'_>, cuts: &CutRules) -> Result<Ins
     };
     let trocar_m = section.point("trocar")?;
     let tip_in_world_m =
-        required_point(&mut section, "home_tip", "home_tip = [\"0 mm\", \"-150 mm\", \"0 mm\"]")?;
+        section.required_point("home_tip", "home_tip = [\"0 mm\", \"-150 mm\", \"0 mm\"]")?;
     let to_trocar = trocar_m.and_then(|trocar_m| (trocar_m - tip_in_world_m).try_normalize());
     let shaft_in_world = section
         .direction("home_shaft")?
@@ -358,7 +358,7 @@ fn read_path(
                 "times that only go up, from 0",
             ));
         }
-        let tip_in_world_m = required_point(&mut point, "tip", "tip = [\"0 mm\", \"-90 mm\", \"0 mm\"]")?;
+        let tip_in_world_m = point.required_point("tip", "tip = [\"0 mm\", \"-90 mm\", \"0 mm\"]")?;
         let before = path.last().map_or(home, |p| p.tool);
         let shaft_in_world = point.direction("shaft")?.unwrap_or(before.shaft_in_world);
         let pose = ToolInput { tip_in_world_m, shaft_in_world, ..before };

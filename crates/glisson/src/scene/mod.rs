@@ -3,6 +3,7 @@
 //! A scene is a TOML file in which every quantity names its unit. Unknown keys and units are refused with the
 //! line, what was found, what is allowed, and what was probably meant.
 
+mod build_error;
 mod build;
 mod contact;
 mod hand;
@@ -10,6 +11,7 @@ mod instrument;
 mod law;
 mod material;
 mod when_cut;
+mod shape;
 mod organ;
 mod reader;
 mod rigid;
@@ -17,6 +19,7 @@ mod simulation;
 mod bodies;
 mod attachment;
 mod carried;
+mod build_shape;
 mod build_bodies;
 mod build_world;
 mod spec;
@@ -24,13 +27,15 @@ mod suture;
 
 pub use attachment::{AttachmentKind, AttachmentSource};
 pub use bodies::{BodySource, SceneBody};
-pub use build::{BuildError, joint_mesh_hash, mesh_hash, read_organ, read_tools};
+pub use build::{joint_mesh_hash, mesh_hash, read_organ, read_tools};
+pub use build_error::BuildError;
 pub use build_world::build_world;
 pub use instrument::{PathPoint, tool_on_path};
 pub use material::{ElasticitySource, MaterialSource, TissuePartSource};
 pub use organ::{OrganSource, OrganSurroundings, OrganZone};
 pub use reader::{SceneError, SceneProblem};
-pub use rigid::{RigidShape, RigidSource};
+pub use rigid::RigidSource;
+pub use shape::{BodyShape, PhantomOrgan, ShapeSource};
 pub use spec::Scene;
 pub use when_cut::WhenCut;
 

@@ -3,16 +3,17 @@
 use super::law::read_law;
 use super::material::{MaterialSource, TissuePartSource, read_material, read_tissue_parts};
 use super::reader::{SceneError, Section};
+use super::shape::{ShapeSource, read_shape};
 use super::when_cut::{WhenCut, read_when_cut, turns_hybrid};
 use crate::material::{LawChoice, PronyTerm};
-use crate::math::{Aabb, DVec3};
+use crate::math::Aabb;
 use crate::model::hybrid::condensed::ZoneLaw;
 use crate::model::kind::ModelKind;
 use crate::model::nonlinear_tensor_mass::Fibre;
 use crate::model::quasi_nonlinear::{GREATEST_DEGREE, LEAST_DEGREE};
 use crate::model::{MeasuredSample, Rayleigh};
 use crate::tool::fracture::FractureEnergy;
-use crate::units::{Dimension, LengthUnit};
+use crate::units::Dimension;
 use crate::world::spec::{ForceField, Ligament, Load, LoadTime, Region, Support};
 use std::path::PathBuf;
 
@@ -28,10 +29,8 @@ pub struct OrganZone {
 /// Where an organ comes from and what moves it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OrganSource {
-    /// Tetrahedral mesh, relative to the scene's folder.
-    pub mesh: PathBuf,
-    /// What the numbers in the mesh file are in.
-    pub mesh_unit: LengthUnit,
+    /// Its mesh.
+    pub shape: ShapeSource,
     /// Elasticity and density.
     pub material: MaterialSource,
     /// Parts of other tissue.
@@ -95,16 +94,8 @@ pub struct OrganSurroundings {
     pub fields: Vec<ForceField>,
 }
 
-/// What the numbers in the mesh file are in: millimetres unless it is said.
-fn read_mesh_unit(section: &mut Section<'_>) -> Result<LengthUnit, SceneError> {
-    let Some((name, at)) = section.string("mesh_unit")? else { return Ok(LengthUnit::default()) };
-    let allowed = LengthUnit::ALL.map(LengthUnit::name).join(", ");
-    name.parse().map_err(|_| section.wrong_value(at, "mesh_unit", format!("\"{name}\""), &allowed))
-}
-
 pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, OrganSurroundings), SceneError> {
-    let mesh = section.string("mesh")?.ok_or_else(|| section.missing("mesh", "mesh = \"liver.vtu\""))?;
-    let mesh_unit = read_mesh_unit(&mut section)?;
+    let shape = read_shape(&mut section)?;
     let material = read_material(&mut section)?;
     let names = ModelKind::ALL.map(ModelKind::name).join(", ");
     let (model_name, at) =
@@ -140,8 +131,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
     let fields = section.sections("field")?.into_iter().map(read_field).collect::<Result<_, _>>()?;
     section.finish()?;
     let organ = OrganSource {
-        mesh: mesh.0.into(),
-        mesh_unit,
+        shape,
         material,
         tissue_parts,
         law,
@@ -182,20 +172,11 @@ fn read_measured(mut section: Section<'_>) -> Result<MeasuredSample, SceneError>
     let radius_m = section
         .positive("radius", Dimension::Length)?
         .ok_or_else(|| section.missing("radius", "radius = \"15 mm\""))?;
-    let degree = match section.number("degree")? {
-        None => DEFAULT_DEGREE,
-        Some((degree, _)) if degree.fract() == 0.0 && (LEAST..=GREATEST).contains(&degree) => degree as usize,
-        Some((degree, at)) => {
-            let allowed = format!("a whole number from {LEAST} to {GREATEST}");
-            return Err(section.wrong_value(at, "degree", format!("{degree}"), &allowed));
-        }
-    };
+    let degree = section.whole_number("degree", LEAST_DEGREE as u64..=GREATEST_DEGREE as u64)?;
+    let degree = degree.map_or(DEFAULT_DEGREE, |degree| degree as usize);
     section.finish()?;
     Ok(MeasuredSample { curve: curve.0.into(), height_m, radius_m, degree })
 }
-
-const LEAST: f64 = LEAST_DEGREE as f64;
-const GREATEST: f64 = GREATEST_DEGREE as f64;
 
 fn read_zone(mut section: Section<'_>) -> Result<OrganZone, SceneError> {
     let region = read_region(&mut section)?;
@@ -341,13 +322,13 @@ pub(super) fn read_region(section: &mut Section<'_>) -> Result<Region, SceneErro
     let furthest = section.section("furthest")?;
     match (bounds, ball, furthest) {
         (Some(mut bounds), None, None) => {
-            let min_m = required_point(&mut bounds, "min", "min = [\"-5 mm\", \"-5 mm\", \"0 mm\"]")?;
-            let max_m = required_point(&mut bounds, "max", "max = [\"5 mm\", \"5 mm\", \"9 mm\"]")?;
+            let min_m = bounds.required_point("min", "min = [\"-5 mm\", \"-5 mm\", \"0 mm\"]")?;
+            let max_m = bounds.required_point("max", "max = [\"5 mm\", \"5 mm\", \"9 mm\"]")?;
             bounds.finish()?;
             Ok(Region::Box(Aabb { min_m, max_m }))
         }
         (None, Some(mut ball), None) => {
-            let center_m = required_point(&mut ball, "center", "center = [\"0 mm\", \"0 mm\", \"9 mm\"]")?;
+            let center_m = ball.required_point("center", "center = [\"0 mm\", \"0 mm\", \"9 mm\"]")?;
             let radius_m = ball
                 .positive("radius", Dimension::Length)?
                 .ok_or_else(|| ball.missing("radius", "radius = \"20 mm\""))?;
@@ -372,12 +353,4 @@ pub(super) fn read_region(section: &mut Section<'_>) -> Result<Region, SceneErro
             Err(section.missing("box, ball or furthest", example))
         }
     }
-}
-
-pub(super) fn required_point(
-    section: &mut Section<'_>,
-    key: &'static str,
-    example: &'static str,
-) -> Result<DVec3, SceneError> {
-    section.point(key)?.ok_or_else(|| section.missing(key, example))
 }

@@ -3,7 +3,7 @@
 use crate::math::DVec3;
 use crate::text::{closest_name, did_you_mean};
 use crate::units::{Dimension, UnitError, parse_quantity};
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
@@ -76,7 +76,7 @@ pub enum SceneProblem {
 }
 
 /// A table that is being read: what nobody asked for is an error at the end.
-pub(super) struct Section<'a> {
+pub(crate) struct Section<'a> {
     text: &'a str,
     name: String,
     table: &'a DeTable<'a>,
@@ -85,7 +85,7 @@ pub(super) struct Section<'a> {
 }
 
 /// A value in its place.
-pub(super) type Value<'a> = &'a Spanned<DeValue<'a>>;
+pub(crate) type Value<'a> = &'a Spanned<DeValue<'a>>;
 
 /// The line (from 1) of byte `at`.
 fn line_of(text: &str, at: usize) -> usize {
@@ -93,7 +93,7 @@ fn line_of(text: &str, at: usize) -> usize {
 }
 
 /// The document as TOML.
-pub(super) fn parse_toml(text: &str) -> Result<Spanned<DeTable<'_>>, SceneError> {
+pub(crate) fn parse_toml(text: &str) -> Result<Spanned<DeTable<'_>>, SceneError> {
     DeTable::parse(text).map_err(|error| SceneError {
         line: error.span().map_or(1, |s| line_of(text, s.start)),
         problem: SceneProblem::Syntax(error.message().to_string()),
@@ -101,7 +101,7 @@ pub(super) fn parse_toml(text: &str) -> Result<Spanned<DeTable<'_>>, SceneError>
 }
 
 impl<'a> Section<'a> {
-    pub(super) fn root(text: &'a str, document: &'a Spanned<DeTable<'a>>) -> Self {
+    pub(crate) fn root(text: &'a str, document: &'a Spanned<DeTable<'a>>) -> Self {
         let (name, table, span) = ("the scene".to_string(), document.get_ref(), 0..0);
         Self { text, name, table, span, asked: Vec::new() }
     }
@@ -111,7 +111,7 @@ impl<'a> Section<'a> {
     }
 
     /// An error at `value`.
-    pub(super) fn wrong_value(
+    pub(crate) fn wrong_value(
         &self,
         value: Value<'_>,
         key: &str,
@@ -123,7 +123,7 @@ impl<'a> Section<'a> {
     }
 
     /// An error of the whole table.
-    pub(super) fn wrong_table(&self, key: &str, found: String, allowed: String) -> SceneError {
+    pub(crate) fn wrong_table(&self, key: &str, found: String, allowed: String) -> SceneError {
         self.error(&self.span, SceneProblem::Value { key: key.into(), found, allowed })
     }
 
@@ -134,21 +134,27 @@ impl<'a> Section<'a> {
     }
 
     /// The value of `key`, if it is there.
-    pub(super) fn get(&mut self, key: &'static str) -> Option<Value<'a>> {
+    pub(crate) fn get(&mut self, key: &'static str) -> Option<Value<'a>> {
         self.asked.push(key);
         self.table.get(key)
     }
 
     /// The error for a key that has to be there, or for the mistyped key that stands in its place.
-    pub(super) fn missing(&self, key: &'static str, example: &'static str) -> SceneError {
+    pub(crate) fn missing(&self, key: &'static str, example: &'static str) -> SceneError {
+        self.missing_one_of(&[key], example)
+    }
+
+    /// The same where one of several keys has to be there; told is the first.
+    pub(crate) fn missing_one_of(&self, keys: &[&'static str], example: &'static str) -> SceneError {
         let mistyped = self.table.iter().find(|(found, _)| {
             let found: &str = found.get_ref();
-            !self.asked.contains(&found) && closest_name(found, &[key]).is_some()
+            !self.asked.contains(&found) && closest_name(found, keys).is_some()
         });
         match mistyped {
             Some((found, _)) => self.unknown(found),
             None => {
-                self.error(&self.span, SceneProblem::Missing { key, section: self.name.clone(), example })
+                let (key, section) = (keys[0], self.name.clone());
+                self.error(&self.span, SceneProblem::Missing { key, section, example })
             }
         }
     }
@@ -163,7 +169,7 @@ impl<'a> Section<'a> {
         self.error(&key.span(), problem)
     }
 
-    pub(super) fn string(&mut self, key: &'static str) -> Result<Option<(String, Value<'a>)>, SceneError> {
+    pub(crate) fn string(&mut self, key: &'static str) -> Result<Option<(String, Value<'a>)>, SceneError> {
         let Some(value) = self.get(key) else { return Ok(None) };
         match value.get_ref().as_str() {
             Some(text) => Ok(Some((text.to_string(), value))),
@@ -183,7 +189,7 @@ impl<'a> Section<'a> {
         }
     }
 
-    pub(super) fn number(&mut self, key: &'static str) -> Result<Option<(f64, Value<'a>)>, SceneError> {
+    pub(crate) fn number(&mut self, key: &'static str) -> Result<Option<(f64, Value<'a>)>, SceneError> {
         let Some(value) = self.get(key) else { return Ok(None) };
         Ok(Some((self.number_of(key, value)?, value)))
     }
@@ -201,7 +207,7 @@ impl<'a> Section<'a> {
         }
     }
 
-    pub(super) fn quantity(
+    pub(crate) fn quantity(
         &mut self,
         key: &'static str,
         dimension: Dimension,
@@ -211,7 +217,7 @@ impl<'a> Section<'a> {
     }
 
     /// A quantity above zero.
-    pub(super) fn positive(
+    pub(crate) fn positive(
         &mut self,
         key: &'static str,
         dimension: Dimension,
@@ -233,12 +239,60 @@ impl<'a> Section<'a> {
     }
 
     /// Three lengths.
-    pub(super) fn point(&mut self, key: &'static str) -> Result<Option<DVec3>, SceneError> {
+    pub(crate) fn point(&mut self, key: &'static str) -> Result<Option<DVec3>, SceneError> {
         self.vector(key, Dimension::Length)
     }
 
+    /// Three lengths that have to be there.
+    pub(crate) fn required_point(
+        &mut self,
+        key: &'static str,
+        example: &'static str,
+    ) -> Result<DVec3, SceneError> {
+        self.point(key)?.ok_or_else(|| self.missing(key, example))
+    }
+
+    /// A length above zero that has to be there.
+    pub(crate) fn required_length(
+        &mut self,
+        key: &'static str,
+        example: &'static str,
+    ) -> Result<f64, SceneError> {
+        self.positive(key, Dimension::Length)?.ok_or_else(|| self.missing(key, example))
+    }
+
+    /// A whole number in a range.
+    pub(crate) fn whole_number(
+        &mut self,
+        key: &'static str,
+        allowed: RangeInclusive<u64>,
+    ) -> Result<Option<u64>, SceneError> {
+        match self.number(key)? {
+            None => Ok(None),
+            Some((n, _)) if n.fract() == 0.0 && n >= 0.0 && allowed.contains(&(n as u64)) => {
+                Ok(Some(n as u64))
+            }
+            Some((n, at)) => {
+                let allowed = format!("a whole number from {} to {}", allowed.start(), allowed.end());
+                Err(self.wrong_value(at, key, n.to_string(), &allowed))
+            }
+        }
+    }
+
+    /// A list of texts.
+    pub(crate) fn strings(
+        &mut self,
+        key: &'static str,
+    ) -> Result<Option<(Vec<String>, Value<'a>)>, SceneError> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        let wrong = || self.wrong_type(value, key, "a list of texts in quotes");
+        let list = value.get_ref().as_array().ok_or_else(wrong)?;
+        let texts = list.iter().map(|item| item.get_ref().as_str().map(str::to_owned).ok_or_else(wrong));
+        Ok(Some((texts.collect::<Result<_, _>>()?, value)))
+    }
+
     /// Three quantities of one dimension.
-    pub(super) fn vector(
+    pub(crate) fn vector(
         &mut self,
         key: &'static str,
         dimension: Dimension,
@@ -253,10 +307,10 @@ impl<'a> Section<'a> {
     }
 
     /// A list of lists of so many lengths each, `example` of them.
-    pub(super) fn lengths(
+    pub(crate) fn lengths(
         &mut self,
         key: &'static str,
-        (n_each, example): (std::ops::RangeInclusive<usize>, &'static str),
+        (n_each, example): (RangeInclusive<usize>, &'static str),
     ) -> Result<Option<Vec<Vec<f64>>>, SceneError> {
         let Some(value) = self.get(key) else { return Ok(None) };
         let wrong = |value| self.wrong_type(value, key, example);
@@ -270,7 +324,7 @@ impl<'a> Section<'a> {
     }
 
     /// A truth value.
-    pub(super) fn flag(&mut self, key: &'static str) -> Result<Option<bool>, SceneError> {
+    pub(crate) fn flag(&mut self, key: &'static str) -> Result<Option<bool>, SceneError> {
         let Some(value) = self.get(key) else { return Ok(None) };
         match value.get_ref() {
             DeValue::Boolean(flag) => Ok(Some(*flag)),
@@ -279,7 +333,7 @@ impl<'a> Section<'a> {
     }
 
     /// Names out of a closed list.
-    pub(super) fn names(
+    pub(crate) fn names(
         &mut self,
         key: &'static str,
         allowed: &[&'static str],
@@ -303,16 +357,16 @@ impl<'a> Section<'a> {
     }
 
     /// Whether `key` is there; it still has to be asked for.
-    pub(super) fn has(&self, key: &str) -> bool {
+    pub(crate) fn has(&self, key: &str) -> bool {
         self.table.get(key).is_some()
     }
 
     /// Whether `key` holds a table.
-    pub(super) fn is_table(&self, key: &str) -> bool {
+    pub(crate) fn is_table(&self, key: &str) -> bool {
         self.table.get(key).is_some_and(|value| value.get_ref().is_table())
     }
     /// Three plain numbers, not all zero, as a unit vector.
-    pub(super) fn direction(&mut self, key: &'static str) -> Result<Option<DVec3>, SceneError> {
+    pub(crate) fn direction(&mut self, key: &'static str) -> Result<Option<DVec3>, SceneError> {
         let Some(value) = self.get(key) else { return Ok(None) };
         let [x, y, z] = self.three(key, value)?;
         let direction = DVec3::new(self.number_of(key, x)?, self.number_of(key, y)?, self.number_of(key, z)?);
@@ -322,7 +376,7 @@ impl<'a> Section<'a> {
     }
 
     /// The table `key`.
-    pub(super) fn section(&mut self, key: &'static str) -> Result<Option<Section<'a>>, SceneError> {
+    pub(crate) fn section(&mut self, key: &'static str) -> Result<Option<Section<'a>>, SceneError> {
         let Some(value) = self.get(key) else { return Ok(None) };
         self.section_of(format!("[{key}]"), key, value).map(Some)
     }
@@ -337,7 +391,7 @@ impl<'a> Section<'a> {
     }
 
     /// The tables of `[[key]]`, none if it is not there.
-    pub(super) fn sections(&mut self, key: &'static str) -> Result<Vec<Section<'a>>, SceneError> {
+    pub(crate) fn sections(&mut self, key: &'static str) -> Result<Vec<Section<'a>>, SceneError> {
         let Some(value) = self.get(key) else { return Ok(Vec::new()) };
         let Some(array) = value.get_ref().as_array() else {
             return Err(self.wrong_type(value, key, "a list of tables"));
@@ -346,7 +400,7 @@ impl<'a> Section<'a> {
     }
 
     /// Refuses what nobody asked for.
-    pub(super) fn finish(self) -> Result<(), SceneError> {
+    pub(crate) fn finish(self) -> Result<(), SceneError> {
         match self.table.iter().find(|(key, _)| !self.asked.contains(&key.get_ref().as_ref())) {
             Some((key, _)) => Err(self.unknown(key)),
             None => Ok(()),

@@ -590,6 +590,17 @@ impl World {
         self.press.forces()
     }
 
+    /// Where an instrument is.
+    pub fn tool_pose(&self, tool: usize) -> ToolInput {
+        self.tool_states[tool].now
+    }
+
+    /// Where the tip of an instrument, or its first jaw, touches an organ.
+    pub fn tip_contact(&self, tool: usize) -> Option<ContactReport> {
+        let contact = self.tool_states[tool].contacts[ToolPart::Tip.index()].as_ref();
+        contact.map(|contact| contact_report(contact, self.organ.positions_m()))
+    }
+
     /// The instruments.
     pub fn tools(&self) -> &[Tool] {
         &self.spec.tools

@@ -29,6 +29,7 @@ mod sutures;
 mod tissue_parts;
 mod tool_contacts;
 mod tools_touch;
+mod training;
 mod touch;
 mod world_bodies;
 mod world_self_contact;

@@ -190,9 +190,42 @@ pub struct Phantom {
 /// # Panics
 /// A voxel size outside 0.5 mm to 10 mm.
 pub fn generate(params: &PhantomParams) -> Phantom {
-    assert!((0.5e-3..=10e-3).contains(&params.voxel_m), "voxels of 0.5 mm to 10 mm");
-    let grid = grid(params.voxel_m);
-    let anatomy = Anatomy::new(params.seed);
+    let (mut values, PhantomTruth { labels, vessels }) = paint(params.seed, params.voxel_m);
+    let grid = labels.grid.clone();
+    let n_slice = grid.dims[0] * grid.dims[1];
+    values = gaussian(&grid, &values, params.blur_m);
+    values.par_chunks_mut(n_slice).enumerate().for_each(|(k, slice)| {
+        // One sequence a slice: the noise does not depend on which thread comes first.
+        let mut random = SeededRandom::new(params.seed ^ (k as u64 + 1).wrapping_mul(0xD1B5_4A32_D192_ED03));
+        for value in slice {
+            *value = (f64::from(*value) + params.noise_hu * random.normal()).round() as f32;
+        }
+    });
+    Phantom { ct: Volume { grid, values }, labels, vessels }
+}
+
+/// What is true of a synthetic patient, without an image of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PhantomTruth {
+    /// The organ at the centre of each voxel; see [`Tissue`].
+    pub labels: LabelMap,
+    /// The vessels inside the liver: portal vein and hepatic vein, from trunk to branches.
+    pub vessels: Vec<Tube>,
+}
+
+/// The truth of [`generate`] alone, which takes no blur and no noise.
+///
+/// # Panics
+/// A voxel size outside 0.5 mm to 10 mm.
+pub fn truth(seed: u64, voxel_m: f64) -> PhantomTruth {
+    paint(seed, voxel_m).1
+}
+
+/// CT numbers [HU] without blur and noise, and the truth.
+fn paint(seed: u64, voxel_m: f64) -> (Vec<f32>, PhantomTruth) {
+    assert!((0.5e-3..=10e-3).contains(&voxel_m), "voxels of 0.5 mm to 10 mm");
+    let grid = grid(voxel_m);
+    let anatomy = Anatomy::new(seed);
     let organs = anatomy.organs();
     let n_slice = grid.dims[0] * grid.dims[1];
     let mut labels = vec![Tissue::Air.label(); grid.n_voxels()];
@@ -205,20 +238,9 @@ pub fn generate(params: &PhantomParams) -> Phantom {
             slice.paint_organ(organ);
         }
     });
-    let mut values = gaussian(&grid, &values, params.blur_m);
-    values.par_chunks_mut(n_slice).enumerate().for_each(|(k, slice)| {
-        // One sequence a slice: the noise does not depend on which thread comes first.
-        let mut random = SeededRandom::new(params.seed ^ (k as u64 + 1).wrapping_mul(0xD1B5_4A32_D192_ED03));
-        for value in slice {
-            *value = (f64::from(*value) + params.noise_hu * random.normal()).round() as f32;
-        }
-    });
     let names = Tissue::ALL.map(|t| (t.label(), t.name().to_string())).to_vec();
-    Phantom {
-        ct: Volume { grid: grid.clone(), values },
-        labels: LabelMap { grid, labels, names, colours: Vec::new() },
-        vessels: anatomy.vessels(),
-    }
+    let labels = LabelMap { grid, labels, names, colours: Vec::new() };
+    (values, PhantomTruth { labels, vessels: anatomy.vessels() })
 }
 
 /// Cubic voxels that cover the field of view, centred on the origin.

@@ -1,0 +1,271 @@
+//! The meshes of bodies: read from files, or made of simple solids and of organs of the synthetic patient.
+
+use super::build_error::BuildError;
+use super::shape::{BodyShape, PhantomOrgan, ShapeSource};
+use crate::image::LabelMap;
+use crate::image::labels::Parts;
+use crate::image::phantom::{PhantomParams, PhantomTruth, truth};
+use crate::image::vessels::Tube;
+use crate::math::{Aabb, DMat3, DVec3};
+use crate::mesh::TetMesh;
+use crate::mesh::box_mesh::box_of_five;
+use crate::mesh::faults::{FaultAction, ImportPolicy};
+use crate::mesh::files::read_mesh_with;
+use crate::mesh::generate::{MeshParams, WantedSize, generate};
+use crate::mesh::organs::{Grading, OrganMeshParams, OrganSize, mesh_organs};
+use crate::surface::TriMesh;
+use crate::surface::extract::{SurfaceParams, surface_of_mask};
+use crate::surface::files::{import_closed_surface, surface_extensions};
+use std::path::Path;
+
+/// A solid without an edge length of its own has so many edges along its longest side: a choice.
+const EDGES_ALONG: f64 = 12.0;
+/// Cells along a side of a box at most: a choice.
+const MOST_CELLS: f64 = 64.0;
+/// Sides of the polygon that stands for the circle of a cylinder, and rings of triangles on a ball.
+const N_AROUND: u32 = 48;
+
+/// Makes the meshes of a scene's bodies; each synthetic patient once.
+pub(super) struct ShapeBuilder<'a> {
+    /// Folder that files are relative to.
+    folder: &'a Path,
+    patients: Vec<(u64, PhantomTruth)>,
+}
+
+/// What may stand in a mesh file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum FileKind {
+    /// Tetrahedra.
+    Tetrahedra,
+    /// These, or a closed surface that is filled with them.
+    SurfaceToo,
+}
+
+impl<'a> ShapeBuilder<'a> {
+    pub(super) fn new(folder: &'a Path) -> Self {
+        Self { folder, patients: Vec::new() }
+    }
+
+    /// The mesh with the labels of its tetrahedra, if it has any.
+    pub(super) fn mesh(
+        &mut self,
+        source: &ShapeSource,
+        files: FileKind,
+    ) -> Result<(TetMesh, Vec<i64>), BuildError> {
+        let edge_m = |longest_m: f64| source.edge_m.unwrap_or(longest_m / EDGES_ALONG);
+        let mesh = match &source.shape {
+            BodyShape::File { file, unit } => {
+                let path = self.folder.join(file);
+                let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+                let extension = extension.unwrap_or_default();
+                // Legacy VTK holds either.
+                let is_surface = surface_extensions().contains(&&*extension) && extension != "vtk";
+                if files == FileKind::SurfaceToo && is_surface {
+                    let surface = import_closed_surface(&path)?.mesh;
+                    meshed(&surface, edge_m(longest(&surface.positions_m)))?
+                } else {
+                    let policy =
+                        ImportPolicy { faults: FaultAction::Refuse, unit: *unit, ..ImportPolicy::default() };
+                    let (mesh, report) = read_mesh_with(&path, &policy)?;
+                    return Ok((mesh, report.label_of));
+                }
+            }
+            BodyShape::Phantom(organ) => return self.phantom_organ(organ),
+            &BodyShape::Box { min_m, max_m } => {
+                let size_m = max_m - min_m;
+                let mut mesh = cells(size_m, edge_m(size_m.max_element()));
+                mesh.positions_m.iter_mut().for_each(|p| *p += min_m);
+                mesh
+            }
+            &BodyShape::Slab { point_m, normal, size_m, thickness_m } => {
+                let (across, along) = normal.any_orthonormal_pair();
+                let frame = DMat3::from_cols(across, along, normal);
+                let mut mesh = cells(DVec3::new(size_m, size_m, thickness_m), edge_m(size_m));
+                let middle_m = DVec3::new(0.5 * size_m, 0.5 * size_m, thickness_m);
+                mesh.positions_m.iter_mut().for_each(|p| *p = point_m + frame * (*p - middle_m));
+                mesh
+            }
+            &BodyShape::Ball { center_m, radius_m } => {
+                meshed(&ball(center_m, radius_m), edge_m(2.0 * radius_m))?
+            }
+            &BodyShape::Cylinder { from_m, to_m, radius_m } => {
+                let longest_m = from_m.distance(to_m).max(2.0 * radius_m);
+                meshed(&cylinder(from_m, to_m, radius_m), edge_m(longest_m))?
+            }
+        };
+        Ok((mesh, Vec::new()))
+    }
+
+    /// The vessels of the organ that has them, if it is one of the synthetic patient.
+    pub(super) fn vessels(&mut self, source: &ShapeSource) -> Vec<Tube> {
+        match &source.shape {
+            BodyShape::Phantom(organ) if organ.has_vessels => self.patient(organ.seed).vessels.clone(),
+            _ => Vec::new(),
+        }
+    }
+
+    fn patient(&mut self, seed: u64) -> &PhantomTruth {
+        let known = self.patients.iter().position(|(known, _)| *known == seed);
+        let at = known.unwrap_or_else(|| {
+            self.patients.push((seed, truth(seed, PhantomParams::default().voxel_m)));
+            self.patients.len() - 1
+        });
+        &self.patients[at].1
+    }
+
+    fn phantom_organ(&mut self, organ: &PhantomOrgan) -> Result<(TetMesh, Vec<i64>), BuildError> {
+        let labels = &self.patient(organ.seed).labels;
+        let selection = labels.select(organ.organ.name(), Parts::Included)?;
+        if organ.parts.is_empty() {
+            let mask = labels.mask(&selection);
+            let params = SurfaceParams { cap_at_border: true, ..SurfaceParams::default() };
+            let (surface, _) = surface_of_mask(&labels.grid, &mask, &params)?;
+            let size = WantedSize::Tetrahedra(organ.n_tetrahedra);
+            let params = MeshParams { size, volume_m3: Some(labels.volume_m3(&selection)) };
+            return Ok((generate(&surface, &params)?.0, Vec::new()));
+        }
+        let map = with_parts_alone(labels, &selection.labels, organ);
+        let wanted = std::iter::once(organ.organ).chain(organ.parts.iter().copied());
+        let params = OrganMeshParams {
+            labels: wanted.map(|tissue| tissue.label()).collect(),
+            size: OrganSize::Tetrahedra(organ.n_tetrahedra),
+            grading: Grading::default(),
+        };
+        let made = mesh_organs(&map, &params)?;
+        Ok((made.mesh, made.label_of.into_iter().map(i64::from).collect()))
+    }
+}
+
+/// The map with the organ in one, but for the parts that keep a label.
+fn with_parts_alone(labels: &LabelMap, of_organ: &[u16], organ: &PhantomOrgan) -> LabelMap {
+    let mut map = labels.clone();
+    let kept: Vec<u16> = organ.parts.iter().map(|part| part.label()).collect();
+    for label in &mut map.labels {
+        if of_organ.contains(label) && !kept.contains(label) {
+            *label = organ.organ.label();
+        }
+    }
+    map
+}
+
+fn longest(positions_m: &[DVec3]) -> f64 {
+    let bounds = Aabb::of_points(positions_m);
+    (bounds.max_m - bounds.min_m).max_element()
+}
+
+fn meshed(surface: &TriMesh, edge_m: f64) -> Result<TetMesh, BuildError> {
+    let params = MeshParams { size: WantedSize::EdgeM(edge_m), volume_m3: None };
+    Ok(generate(surface, &params)?.0)
+}
+
+fn cells(size_m: DVec3, edge_m: f64) -> TetMesh {
+    let cells = size_m.to_array().map(|side_m| (side_m / edge_m).round().clamp(1.0, MOST_CELLS) as usize);
+    box_of_five(cells, size_m)
+}
+
+fn ball(center_m: DVec3, radius_m: f64) -> TriMesh {
+    let (n_around, n_rings) = (N_AROUND, N_AROUND / 2);
+    let mut surface = TriMesh::default();
+    surface.positions_m.push(center_m + DVec3::Z * radius_m);
+    for ring in 1..n_rings {
+        let polar = std::f64::consts::PI * f64::from(ring) / f64::from(n_rings);
+        for i in 0..n_around {
+            let angle = std::f64::consts::TAU * f64::from(i) / f64::from(n_around);
+            let around = DVec3::new(libm::cos(angle), libm::sin(angle), 0.0) * libm::sin(polar);
+            surface.positions_m.push(center_m + (around + DVec3::Z * libm::cos(polar)) * radius_m);
+        }
+    }
+    surface.positions_m.push(center_m - DVec3::Z * radius_m);
+    let last = surface.positions_m.len() as u32 - 1;
+    let at = |ring: u32, i: u32| 1 + (ring - 1) * n_around + i % n_around;
+    for i in 0..n_around {
+        surface.triangles.push([0, at(1, i), at(1, i + 1)]);
+        for ring in 1..n_rings - 1 {
+            let (a, b) = (at(ring, i), at(ring, i + 1));
+            let (c, d) = (at(ring + 1, i), at(ring + 1, i + 1));
+            surface.triangles.extend([[a, c, d], [a, d, b]]);
+        }
+        surface.triangles.push([last, at(n_rings - 1, i + 1), at(n_rings - 1, i)]);
+    }
+    surface
+}
+
+fn cylinder(from_m: DVec3, to_m: DVec3, radius_m: f64) -> TriMesh {
+    let axis = (to_m - from_m).normalize();
+    let (x, y) = axis.any_orthonormal_pair();
+    let n_around = N_AROUND;
+    let mut surface = TriMesh::default();
+    for end_m in [from_m, to_m] {
+        for i in 0..n_around {
+            let angle = std::f64::consts::TAU * f64::from(i) / f64::from(n_around);
+            surface.positions_m.push(end_m + (x * libm::cos(angle) + y * libm::sin(angle)) * radius_m);
+        }
+    }
+    let (base, top) = (2 * n_around, 2 * n_around + 1);
+    surface.positions_m.extend([from_m, to_m]);
+    for i in 0..n_around {
+        let (a, b) = (i, (i + 1) % n_around);
+        let (c, d) = (a + n_around, b + n_around);
+        surface.triangles.extend([[a, b, d], [a, d, c], [base, b, a], [top, c, d]]);
+    }
+    surface
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::phantom::Tissue;
+
+    #[test]
+    fn shapes_are_closed_and_have_their_volume() {
+        let pi = std::f64::consts::PI;
+        let file = Path::new("");
+        let of = |shape: BodyShape| {
+            let source = ShapeSource { shape, edge_m: Some(0.01) };
+            ShapeBuilder::new(file).mesh(&source, FileKind::Tetrahedra).unwrap().0
+        };
+        let ball = of(BodyShape::Ball { center_m: DVec3::X, radius_m: 0.05 });
+        assert!((ball.volume_m3() / (4.0 / 3.0 * pi * 0.05_f64.powi(3)) - 1.0).abs() < 0.01);
+        let rod = BodyShape::Cylinder { from_m: DVec3::X, to_m: DVec3::X + DVec3::Y * 0.2, radius_m: 0.03 };
+        assert!((of(rod).volume_m3() / (pi * 0.03 * 0.03 * 0.2) - 1.0).abs() < 0.01);
+        let normal = DVec3::new(1.0, 2.0, -2.0).normalize();
+        let (point_m, size_m, thickness_m) = (DVec3::new(0.1, 0.2, 0.3), 0.2, 0.02);
+        let slab = of(BodyShape::Slab { point_m, normal, size_m, thickness_m });
+        assert!((slab.volume_m3() / (0.2 * 0.2 * 0.02) - 1.0).abs() < 1e-9);
+        let highest = slab.positions_m.iter().map(|p| (*p - point_m).dot(normal)).fold(f64::MIN, f64::max);
+        assert!(highest.abs() < 1e-12, "the upper face goes through the point: {highest}");
+        let middle: DVec3 = slab.positions_m.iter().sum::<DVec3>() / slab.positions_m.len() as f64;
+        assert!((middle - point_m + normal * 0.01).length() < 1e-12);
+    }
+
+    fn phantom(n_tetrahedra: usize, parts: Vec<Tissue>) -> ShapeSource {
+        let organ = PhantomOrgan { organ: Tissue::Liver, seed: 3, n_tetrahedra, parts, has_vessels: true };
+        ShapeSource { shape: BodyShape::Phantom(organ), edge_m: None }
+    }
+
+    #[test]
+    fn organs_of_the_phantom_have_their_volume_their_parts_and_their_vessels() {
+        let mut shapes = ShapeBuilder::new(Path::new(""));
+        let truth = truth(3, PhantomParams::default().voxel_m);
+        let volume_m3 =
+            |name: &str, parts| truth.labels.volume_m3(&truth.labels.select(name, parts).unwrap());
+        let liver_m3 = volume_m3("liver", Parts::Included);
+
+        let (mesh, labels) = shapes.mesh(&phantom(2000, Vec::new()), FileKind::Tetrahedra).unwrap();
+        assert!(labels.is_empty());
+        assert!((mesh.volume_m3() / liver_m3 - 1.0).abs() < 1e-3);
+        assert!((mesh.tetrahedra.len() as f64 / 2000.0 - 1.0).abs() < 0.05);
+
+        let source = phantom(20_000, vec![Tissue::LiverTumour]);
+        let (mesh, labels) = shapes.mesh(&source, FileKind::Tetrahedra).unwrap();
+        assert!((mesh.volume_m3() / liver_m3 - 1.0).abs() < 5e-3);
+        let is_tumour = |label: &i64| *label == i64::from(Tissue::LiverTumour.label());
+        let tets = labels.iter().zip(&mesh.tetrahedra).filter(|(label, _)| is_tumour(label));
+        let corners = |tet: &[crate::mesh::NodeId; 4]| tet.map(|node| mesh.positions_m[node.index()]);
+        let tumour_m3: f64 = tets.map(|(_, tet)| crate::math::tetrahedron_volume_m3(corners(tet))).sum();
+        let wanted_m3 = volume_m3("liver_tumour", Parts::Excluded);
+        assert!((tumour_m3 / wanted_m3 - 1.0).abs() < 0.05, "{tumour_m3} of {wanted_m3}");
+        assert_eq!(shapes.vessels(&source), truth.vessels);
+        assert_eq!(shapes.patients.len(), 1, "one patient is made once");
+    }
+}

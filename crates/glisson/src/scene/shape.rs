@@ -1,0 +1,254 @@
+//! Where the mesh of a body comes from: a file, a simple solid, or an organ of the synthetic patient.
+
+use super::reader::{SceneError, Section, Value};
+use crate::image::phantom::Tissue;
+use crate::math::DVec3;
+use crate::text::did_you_mean;
+use crate::units::{Dimension, LengthUnit};
+use std::path::{Path, PathBuf};
+
+/// The shape of a body at rest.
+#[derive(Clone, Debug, PartialEq)]
+pub enum BodyShape {
+    /// A tetrahedral mesh, or for rigid bodies a closed surface.
+    File {
+        /// Relative to the scene's folder.
+        file: PathBuf,
+        /// What its numbers are in.
+        unit: LengthUnit,
+    },
+    /// A box along the axes.
+    Box {
+        /// Smallest corner [m].
+        min_m: DVec3,
+        /// Largest corner [m].
+        max_m: DVec3,
+    },
+    /// A ball.
+    Ball {
+        /// Centre [m].
+        center_m: DVec3,
+        /// Radius [m].
+        radius_m: f64,
+    },
+    /// A cylinder between the centres of its ends.
+    Cylinder {
+        /// Centre of an end [m].
+        from_m: DVec3,
+        /// Centre of the other [m].
+        to_m: DVec3,
+        /// Radius [m].
+        radius_m: f64,
+    },
+    /// A square plate.
+    Slab {
+        /// Middle of its upper face [m].
+        point_m: DVec3,
+        /// Unit normal of that face.
+        normal: DVec3,
+        /// Edge of the face [m].
+        size_m: f64,
+        /// Thickness below it [m].
+        thickness_m: f64,
+    },
+    /// An organ of the synthetic patient ([`crate::image::phantom`]).
+    Phantom(PhantomOrgan),
+}
+
+/// An organ of a synthetic patient.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PhantomOrgan {
+    /// Which one; what lies inside it belongs to it.
+    pub organ: Tissue,
+    /// Which patient.
+    pub seed: u64,
+    /// Tetrahedra that are wanted.
+    pub n_tetrahedra: usize,
+    /// What inside it keeps a label of its own, for `[[organ.part]]`.
+    pub parts: Vec<Tissue>,
+    /// Whether its blood vessels come with it.
+    pub has_vessels: bool,
+}
+
+/// A shape, and how finely it is meshed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShapeSource {
+    /// The shape.
+    pub shape: BodyShape,
+    /// Edge of its triangles [m], where it is meshed; by its size when absent.
+    pub edge_m: Option<f64>,
+}
+
+const KEYS: [&str; 6] = ["mesh", "box", "ball", "cylinder", "slab", "phantom"];
+const EXAMPLE: &str = "mesh = \"liver.vtu\", or in its place box = { min, max }, ball = { center, radius }, \
+     cylinder = { from, to, radius }, slab = { point, normal, size, thickness } or phantom = { organ, seed, tetrahedra }";
+const ALLOWED: &str = "exactly one of mesh, box, ball, cylinder, slab and phantom";
+
+/// Tetrahedra of an organ of the phantom unless the scene says how many.
+const DEFAULT_TETRAHEDRA: usize = 6300;
+/// The fewest and most that a scene may ask for.
+const TETRAHEDRA: std::ops::RangeInclusive<usize> = 100..=200_000;
+
+/// The shape of a body, `edge` with it.
+pub(super) fn read_shape(section: &mut Section<'_>) -> Result<ShapeSource, SceneError> {
+    let mesh = section.string("mesh")?;
+    let unit = read_mesh_unit(section)?;
+    let tables = [
+        section.section("box")?.map(|table| (read_box as ReadSolid, table)),
+        section.section("ball")?.map(|table| (read_ball as ReadSolid, table)),
+        section.section("cylinder")?.map(|table| (read_cylinder as ReadSolid, table)),
+        section.section("slab")?.map(|table| (read_slab as ReadSolid, table)),
+        section.section("phantom")?.map(|table| (read_phantom as ReadSolid, table)),
+    ];
+    let mut solids = tables.into_iter().flatten();
+    let shape = match (mesh, solids.next(), solids.next()) {
+        (Some((file, _)), None, _) => BodyShape::File { file: file.into(), unit },
+        (None, Some((read, mut table)), None) => {
+            let shape = read(&mut table)?;
+            table.finish()?;
+            shape
+        }
+        (None, None, _) => return Err(section.missing_one_of(&KEYS, EXAMPLE)),
+        _ => return Err(section.wrong_table("mesh", "not the only shape".into(), ALLOWED.into())),
+    };
+    let edge_m = section.positive("edge", Dimension::Length)?;
+    Ok(ShapeSource { shape, edge_m })
+}
+
+impl BodyShape {
+    /// What messages call it.
+    pub fn name(&self, folder: &Path) -> String {
+        match self {
+            Self::File { file, .. } => folder.join(file).display().to_string(),
+            Self::Box { .. } => "the box".into(),
+            Self::Ball { .. } => "the ball".into(),
+            Self::Cylinder { .. } => "the cylinder".into(),
+            Self::Slab { .. } => "the slab".into(),
+            Self::Phantom(organ) => format!("the {} of phantom {}", organ.organ.name(), organ.seed),
+        }
+    }
+}
+
+type ReadSolid = fn(&mut Section<'_>) -> Result<BodyShape, SceneError>;
+
+/// What the numbers in the mesh file are in: millimetres unless it is said.
+fn read_mesh_unit(section: &mut Section<'_>) -> Result<LengthUnit, SceneError> {
+    let Some((name, at)) = section.string("mesh_unit")? else { return Ok(LengthUnit::default()) };
+    let allowed = LengthUnit::ALL.map(LengthUnit::name).join(", ");
+    name.parse().map_err(|_| section.wrong_value(at, "mesh_unit", format!("\"{name}\""), &allowed))
+}
+
+fn read_box(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {
+    let min_m = table.required_point("min", "min = [\"-5 mm\", \"-5 mm\", \"0 mm\"]")?;
+    let max_m = table.required_point("max", "max = [\"5 mm\", \"5 mm\", \"9 mm\"]")?;
+    if min_m.cmpge(max_m).any() {
+        let found = format!("{min_m} to {max_m} m");
+        return Err(table.wrong_table("box", found, "min below max along every axis".into()));
+    }
+    Ok(BodyShape::Box { min_m, max_m })
+}
+
+fn read_ball(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {
+    let center_m = table.required_point("center", "center = [\"0 mm\", \"0 mm\", \"9 mm\"]")?;
+    let radius_m = table.required_length("radius", "radius = \"20 mm\"")?;
+    Ok(BodyShape::Ball { center_m, radius_m })
+}
+
+fn read_cylinder(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {
+    let from_m = table.required_point("from", "from = [\"0 mm\", \"0 mm\", \"0 mm\"]")?;
+    let to_m = table.required_point("to", "to = [\"0 mm\", \"0 mm\", \"90 mm\"]")?;
+    let radius_m = table.required_length("radius", "radius = \"20 mm\"")?;
+    if from_m == to_m {
+        return Err(table.wrong_table("cylinder", "without length".into(), "from and to apart".into()));
+    }
+    Ok(BodyShape::Cylinder { from_m, to_m, radius_m })
+}
+
+fn read_slab(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {
+    let point_m = table.required_point("point", "point = [\"0 mm\", \"0 mm\", \"0 mm\"]")?;
+    let normal = table.direction("normal")?.ok_or_else(|| table.missing("normal", "normal = [0, -1, 0]"))?;
+    let size_m = table.required_length("size", "size = \"300 mm\"")?;
+    let thickness_m = table.required_length("thickness", "thickness = \"20 mm\"")?;
+    Ok(BodyShape::Slab { point_m, normal, size_m, thickness_m })
+}
+
+fn read_phantom(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {
+    let (name, at) = table.string("organ")?.ok_or_else(|| table.missing("organ", "organ = \"liver\""))?;
+    let organ = tissue_named(table, "organ", &name, at)?;
+    let seed = table.whole_number("seed", 0..=u64::from(u32::MAX))?.unwrap_or(1);
+    let most = *TETRAHEDRA.end() as u64;
+    let n_tetrahedra = table.whole_number("tetrahedra", *TETRAHEDRA.start() as u64..=most)?;
+    let n_tetrahedra = n_tetrahedra.map_or(DEFAULT_TETRAHEDRA, |n| n as usize);
+    let mut parts = Vec::new();
+    if let Some((names, at)) = table.strings("parts")? {
+        for name in names {
+            parts.push(tissue_named(table, "parts", &name, at)?);
+        }
+    }
+    let vessels = table.flag("vessels")?.unwrap_or(false);
+    if vessels && organ != Tissue::Liver {
+        let allowed = "vessels = true with organ = \"liver\" alone: the others have none".into();
+        return Err(table.wrong_table("vessels", format!("true for the {name}"), allowed));
+    }
+    Ok(BodyShape::Phantom(PhantomOrgan { organ, seed, n_tetrahedra, parts, has_vessels: vessels }))
+}
+
+fn tissue_named(
+    table: &Section<'_>,
+    key: &'static str,
+    name: &str,
+    at: Value<'_>,
+) -> Result<Tissue, SceneError> {
+    let names = Tissue::ALL.map(Tissue::name);
+    Tissue::ALL.into_iter().find(|tissue| tissue.name() == name).ok_or_else(|| {
+        let allowed = format!("{}{}", names.join(", "), did_you_mean(name, &names));
+        table.wrong_value(at, key, format!("\"{name}\""), &allowed)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::spec::Scene;
+    use super::*;
+
+    fn scene(shape: &str) -> Result<Scene, SceneError> {
+        let tool = "[tool]\nhome_tip = [0, \"-9 cm\", 0]\nhome_shaft = [0, -1, 0]\ntip_radius = \"3 mm\"\n";
+        let organ = "tissue = \"liver\"\nmodel = \"precomputed\"\n";
+        Scene::parse(&format!("glisson_scene = 1\n[organ]\n{shape}\n{organ}{tool}"))
+    }
+
+    #[test]
+    fn an_organ_of_the_phantom_needs_no_file() {
+        let read = scene(
+            "phantom = { organ = \"liver\", seed = 7, tetrahedra = 900, parts = [\"liver_tumour\"], vessels = true }",
+        );
+        let expected = PhantomOrgan {
+            organ: Tissue::Liver,
+            seed: 7,
+            n_tetrahedra: 900,
+            parts: vec![Tissue::LiverTumour],
+            has_vessels: true,
+        };
+        assert_eq!(read.unwrap().organ.shape.shape, BodyShape::Phantom(expected));
+    }
+
+    #[test]
+    fn what_is_no_shape_is_refused_with_what_is() {
+        for (shape, expected) in [
+            ("", "[organ] lacks \"mesh\"; write for example mesh = \"liver.vtu\", or in its place box"),
+            ("bxo = {}", "did you mean \"box\""),
+            (
+                "mesh = \"a.vtu\"\nball = { center = [0, 0, 0], radius = \"1 cm\" }",
+                "exactly one of mesh, box",
+            ),
+            ("phantom = { organ = \"lever\" }", "did you mean \"liver\""),
+            ("phantom = { organ = \"liver\", tetrahedra = 50 }", "a whole number from 100 to 200000"),
+            ("phantom = { organ = \"liver\", seed = 1.5 }", "a whole number from 0 to"),
+            ("phantom = { organ = \"spleen\", vessels = true }", "the others have none"),
+            ("phantom = { organ = \"liver\", sed = 1 }", "did you mean \"seed\""),
+        ] {
+            let error = scene(shape).unwrap_err().to_string();
+            assert!(error.contains(expected), "{shape}: {error}");
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! What an instrument did, one gesture after the other: moved, touched, grasped, pulled, cut, released.
+
+use super::motion::REST_M_PER_S;
+use super::trace::{ToolTrace, Trace};
+
+/// A gesture that is shorter than this belongs to the one before it [s]: a choice.
+const SHORTEST_S: f64 = 0.15;
+/// Jaws that hold tissue pull it when the tip is so far from where they closed [m]: a choice.
+const PULLED_M: f64 = 5e-3;
+/// Jaws that open by this share let go; tissue that goes without it has slipped: a choice.
+const OPENED: f64 = 0.02;
+
+/// What an instrument does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GestureKind {
+    /// It rests, and touches nothing.
+    Rest,
+    /// It moves, and touches nothing.
+    Move,
+    /// It touches tissue.
+    Push,
+    /// Its jaws hold tissue.
+    Grasp,
+    /// They hold it, and have drawn it away.
+    Pull,
+    /// It touches tissue with the trigger pressed.
+    Activate,
+}
+
+impl GestureKind {
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rest => "rest",
+            Self::Move => "move",
+            Self::Push => "push",
+            Self::Grasp => "grasp",
+            Self::Pull => "pull",
+            Self::Activate => "activate",
+        }
+    }
+}
+
+/// A gesture: from one sample to another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Gesture {
+    /// What.
+    pub kind: GestureKind,
+    /// First sample.
+    pub from: usize,
+    /// Behind the last sample.
+    pub to: usize,
+}
+
+/// The gestures of an instrument, without gaps.
+pub fn gestures(trace: &Trace, tool: &ToolTrace) -> Vec<Gesture> {
+    let shortest = (SHORTEST_S / trace.period_s).round() as usize;
+    let mut found: Vec<Gesture> = Vec::new();
+    let mut closed_at = None;
+    for at in 0..trace.n_samples() {
+        let tip_m = tool.poses[at].tip_in_world_m;
+        closed_at = (tool.n_held_nodes[at] > 0).then(|| closed_at.unwrap_or(tip_m));
+        let kind = match closed_at {
+            Some(closed_m) if tip_m.distance(closed_m) > PULLED_M => GestureKind::Pull,
+            Some(_) => GestureKind::Grasp,
+            None if tool.touches[at] && tool.poses[at].is_triggered() => GestureKind::Activate,
+            None if tool.touches[at] => GestureKind::Push,
+            None if speed_m_per_s(trace, tool, at) >= REST_M_PER_S => GestureKind::Move,
+            None => GestureKind::Rest,
+        };
+        match found.last_mut() {
+            Some(last) if last.kind == kind => last.to = at + 1,
+            _ => found.push(Gesture { kind, from: at, to: at + 1 }),
+        }
+    }
+    merged(found, shortest)
+}
+
+fn speed_m_per_s(trace: &Trace, tool: &ToolTrace, at: usize) -> f64 {
+    let before = &tool.poses[at.saturating_sub(1)];
+    tool.poses[at].tip_in_world_m.distance(before.tip_in_world_m) / trace.period_s
+}
+
+/// Short ones joined to the one before, and what is alike then.
+fn merged(found: Vec<Gesture>, shortest: usize) -> Vec<Gesture> {
+    let mut kept: Vec<Gesture> = Vec::new();
+    for gesture in found {
+        match kept.last_mut() {
+            Some(last) if last.kind == gesture.kind || gesture.to - gesture.from < shortest => {
+                last.to = gesture.to;
+            }
+            _ => kept.push(gesture),
+        }
+    }
+    kept
+}
+
+/// Samples at which tissue slipped out of closed jaws.
+pub fn slips(tool: &ToolTrace) -> Vec<usize> {
+    let lost = |at: &usize| {
+        let (before, now) = (&tool.poses[at - 1], &tool.poses[*at]);
+        tool.n_held_nodes[at - 1] > 0
+            && tool.n_held_nodes[*at] == 0
+            && now.jaw_opening <= before.jaw_opening + OPENED
+    };
+    (1..tool.n_held_nodes.len()).filter(lost).collect()
+}

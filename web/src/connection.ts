@@ -10,6 +10,7 @@ import {
   type Topology,
 } from "./protocol";
 import type { Feel } from "./feel";
+import type { TaskStatus } from "./task";
 import type { Role, Timing } from "./timing";
 
 export type ConnectionState = "connecting" | "open" | "lost";
@@ -22,6 +23,7 @@ export interface ConnectionEvents {
   role(role: Role): void;
   timing(timing: Timing): void;
   feel(feel: Feel): void;
+  task(task: TaskStatus): void;
   /** An error message of the server, or a message that could not be understood. */
   error(message: string): void;
   /** What is as it should be, and worth knowing. */
@@ -116,6 +118,7 @@ export class Connection {
         else if (message.type === "role") this.events.role(message);
         else if (message.type === "timing") this.events.timing(message);
         else if (message.type === "feel") this.events.feel(message);
+        else if (message.type === "task") this.events.task(message);
         else if (message.type === "news") this.events.notice(message.message);
         else this.events.error(`Server: ${message.message}`);
       } else if (data instanceof ArrayBuffer) {

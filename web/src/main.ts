@@ -1,6 +1,7 @@
 /** Starts the viewer on the page, or says on the page why it cannot. */
 import "./style.css";
 import "./lists.css";
+import "./task.css";
 import { viewerHook } from "./hook";
 import { findPage } from "./page";
 import { Viewer } from "./viewer";

@@ -5,6 +5,7 @@
  * and throw nothing but {@link ProtocolError}. Units: metres, seconds, newtons; frame: LPS.
  */
 
+import { decodeTask, type TaskStatus } from "./task";
 import { BLOOD_BYTES, decodeBlood, type Bleeding } from "./blood";
 import { bodiesAt, type BodyInfo } from "./body_info";
 import { contactPointsBytes, decodeContactPoints, type ContactPoints } from "./contact_points";
@@ -204,7 +205,7 @@ function toolsAt(fields: Fields): ToolInfo[] {
 }
 
 /** Decodes a text message of the server. */
-export function decodeText(text: string): Hello | ServerNotice | Role | Timing | Feel {
+export function decodeText(text: string): Hello | ServerNotice | Role | Timing | Feel | TaskStatus {
   let parsed: unknown;
   try {
     parsed = JSON.parse(text);
@@ -217,8 +218,9 @@ export function decodeText(text: string): Hello | ServerNotice | Role | Timing |
   if (type === "role") return decodeRole(fields);
   if (type === "timing") return decodeTiming(fields);
   if (type === "feel") return decodeFeel(fields);
+  if (type === "task") return decodeTask(fields);
   if (type !== "hello") {
-    fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello, role, timing, feel, news or error`);
+    fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello, role, timing, feel, task, news or error`);
   }
   const protocol = numberAt(fields, "protocol", "hello");
   if (protocol !== PROTOCOL_VERSION) {

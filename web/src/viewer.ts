@@ -22,6 +22,7 @@ import { headerOfHand, ProtocolError, type HandHeader, type Hello, type Snapshot
 import { Resolution } from "./resolution";
 import { Scene3d } from "./scene3d";
 import { Table } from "./table";
+import { TaskPanel } from "./task";
 import type { ToolDriver } from "./tool_driver";
 
 export class Viewer {
@@ -34,6 +35,7 @@ export class Viewer {
   private readonly connection: Connection;
   private readonly bodies: BodyList;
   private readonly contacts: Contacts;
+  private readonly task: TaskPanel;
   private readonly hands = new Hands();
   private readonly table = new Table();
   private readonly history = new ForceHistory();
@@ -62,6 +64,7 @@ export class Viewer {
     this.help = new Help(document.body);
     this.bodies = new BodyList(page.bodies, (hidden) => { this.scene.hide(hidden); this.redraw(); });
     this.contacts = new Contacts(page.contacts, this.scene.contactMarks);
+    this.task = new TaskPanel(page.task);
     this.toolbar = new Toolbar(page.toolbar, (action) => this.run(action, false));
     this.controls = new Controls(page.scene, {
       isOnOrgan: (x, y) => this.scene.pick(x, y) !== null,
@@ -95,6 +98,7 @@ export class Viewer {
       topology: (topology) => this.setTopology(topology),
       snapshot: (snapshot, bytes) => this.receive(snapshot, bytes),
       ...this.news.events,
+      task: (task) => this.task.show(task),
       error: (message) => this.messages.error(message),
       notice: (message) => this.messages.notice(message),
     });
@@ -369,6 +373,7 @@ export class Viewer {
     const drawn = (h: SnapshotHeader | null): string => (h === null ? "" : JSON.stringify([h.tools, h.bleeding?.ends, h.contactPoints, h.threads]));
     if (drawn(header) !== drawn(this.header)) this.sceneChanged = true;
     this.contacts.take(header.contactPoints);
+    this.task.tick(header.time_s);
     this.header = headerOfHand(header, this.hands.chosen);
   }
 

@@ -39,6 +39,10 @@ pub enum Dimension {
     Torque,
     /// Newton metres per radian inside.
     RotationalStiffness,
+    /// Cubic metres inside.
+    Volume,
+    /// Cubic metres per second inside.
+    VolumeFlow,
 }
 
 impl Dimension {
@@ -59,6 +63,8 @@ impl Dimension {
             Self::FractureEnergy => &[("J/m2", 1.0), ("kJ/m2", 1e3)],
             Self::Torque => &[("N m", 1.0), ("N mm", 1e-3)],
             Self::RotationalStiffness => &[("N m/rad", 1.0), ("N mm/rad", 1e-3)],
+            Self::Volume => &[("m3", 1.0), ("ml", 1e-6), ("l", 1e-3)],
+            Self::VolumeFlow => &[("m3/s", 1.0), ("ml/min", 1e-6 / 60.0), ("ml/s", 1e-6)],
         }
     }
 
@@ -79,7 +85,22 @@ impl Dimension {
             Self::FractureEnergy => "fracture energy",
             Self::Torque => "torque",
             Self::RotationalStiffness => "rotational stiffness",
+            Self::Volume => "volume",
+            Self::VolumeFlow => "flow of a volume",
         }
+    }
+}
+
+/// A quantity in the unit that people read it in: metres are shown in millimetres, cubic metres in millilitres, and so on.
+/// A unit that is not known stays as it is.
+pub fn for_people(value: f64, si_unit: &str) -> (f64, &str) {
+    match si_unit {
+        "m" => (1e3 * value, "mm"),
+        "m2" => (1e4 * value, "cm2"),
+        "m3" => (1e6 * value, "ml"),
+        "m3/s" => (60e6 * value, "ml/min"),
+        "rad" => (value.to_degrees(), "deg"),
+        _ => (value, si_unit),
     }
 }
 

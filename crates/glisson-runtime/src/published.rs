@@ -6,6 +6,7 @@ use crate::{Notice, Simulation};
 use glisson::model::kind::ModelKind;
 use glisson::model::{LevelOfDetail, StateHash};
 use glisson::record::snapshot::{ContactPoints, DisplayTopology, Snapshot};
+use glisson::training::task::{TaskRecord, TaskRun, TaskStatus};
 use std::sync::Arc;
 
 /// The latest displayed state.
@@ -27,6 +28,10 @@ pub struct Published {
     pub notices: Vec<Notice>,
     /// How many notices there were altogether.
     pub n_notices: usize,
+    /// How far the scene's task is, if it has one.
+    pub task: Option<TaskStatus>,
+    /// What was written down of the task, once it is over.
+    pub task_record: Option<Arc<TaskRecord>>,
     /// Whether the simulation broke and goes no further; the notices say why.
     pub is_broken: bool,
     /// How far the simulation fell behind.
@@ -64,7 +69,9 @@ impl Published {
             Arc::new(world.display_topology())
         };
         let next = Self::of(simulation, topology, (&self.meters, &self.contact_watchers));
-        Self { pace, lateness, ..next }
+        let task_record = self.task_record.clone().filter(|_| next.task_is_over());
+        let task_record = task_record.or_else(|| record_of_finished(simulation));
+        Self { pace, lateness, task_record, ..next }
     }
 
     fn of(
@@ -87,12 +94,18 @@ impl Published {
             model: world.model_kind(),
             notices: simulation.notices().to_vec(),
             n_notices: simulation.n_notices(),
+            task: simulation.task().map(TaskRun::status),
+            task_record: None,
             is_broken: simulation.broken().is_some(),
             lateness: Lateness::default(),
             effort: world.effort(),
             meters: Arc::clone(meters),
             contact_watchers: Arc::clone(watchers),
         }
+    }
+
+    fn task_is_over(&self) -> bool {
+        self.task.as_ref().is_some_and(|task| task.outcome.is_some())
     }
 
     /// Whether somebody looks at contact points and this state has none.
@@ -105,4 +118,9 @@ impl Published {
         let n_new = self.n_notices.saturating_sub(n_told).min(self.notices.len());
         &self.notices[self.notices.len() - n_new..]
     }
+}
+
+fn record_of_finished(simulation: &Simulation) -> Option<Arc<TaskRecord>> {
+    let finished = simulation.task().filter(|task| task.outcome().is_some());
+    finished.map(|task| Arc::new(task.record()))
 }

@@ -7,6 +7,7 @@ use glisson::mesh::refine::FineRegion;
 use glisson::model::StateHash;
 use glisson::record::session::{Session, SessionEvent, parse_session};
 use glisson::scene::Scene;
+use glisson::training::task::{TaskRecord, TaskRun};
 use glisson::world::StepInput;
 use std::path::Path;
 
@@ -24,6 +25,8 @@ pub struct ReplayReport {
     pub checkpoints: u64,
     /// What the session did to the organ.
     pub account: Account,
+    /// What was written down of the scene's task, if it has one.
+    pub task: Option<TaskRecord>,
 }
 
 /// Reads a session file.
@@ -72,6 +75,7 @@ pub fn replay(
         first_difference: None,
         checkpoints: 0,
         account: Account::default(),
+        task: None,
     };
     for event in &session.events {
         while simulation.world().steps_made() < event.step() {
@@ -112,6 +116,7 @@ pub fn replay(
     }
     report.steps = simulation.world().steps_made();
     report.account = Account::of(simulation.world());
+    report.task = simulation.task().map(TaskRun::record);
     report.state_hash = simulation.world().state_hash();
     Ok(report)
 }

@@ -4,6 +4,7 @@
 //! snapshot -> picture (software rasterizer) -> PNG;  numbers -> plot -> SVG
 //! Published (glisson_runtime) -> server: frames, messages -> WebSocket -> page (web/dist, embedded)
 //! page -> commands -> control (one controls, all may watch) -> Simulation
+//! TaskRecord (glisson::training) -> report -> HTML
 //! image -> patient (its own page) -> scene -> Simulation
 //! ```
 //!
@@ -11,5 +12,6 @@
 
 pub mod plot;
 pub mod picture;
+pub mod report;
 pub mod server;
 pub mod patient;

@@ -4,6 +4,7 @@ mod image_input;
 mod output;
 mod numbers;
 mod progress;
+mod task_text;
 mod phantom;
 mod import;
 mod slice_contours;
@@ -19,6 +20,7 @@ mod fit;
 mod run;
 mod serve;
 mod patient;
+mod task;
 mod watch;
 mod device_page;
 mod devices;
@@ -51,6 +53,7 @@ enum Command {
     Run(run::Args),
     Serve(serve::Args),
     Patient(patient::Args),
+    Task(task::Args),
     Watch(watch::Args),
     Devices(devices::Args),
     Replay(replay::Args),
@@ -76,6 +79,7 @@ pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
         Command::Run(args) => run::run(args),
         Command::Serve(args) => serve::run(args),
         Command::Patient(args) => patient::run(args),
+        Command::Task(args) => task::run(args),
         Command::Watch(args) => watch::run(args),
         Command::Devices(args) => devices::run(args),
         Command::Replay(args) => replay::run(args),

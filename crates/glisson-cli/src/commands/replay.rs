@@ -1,5 +1,6 @@
 //! `glisson replay`.
 
+use super::task_text::task_text;
 use anyhow::bail;
 use glisson_runtime::replay;
 use std::path::{Path, PathBuf};
@@ -26,6 +27,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let report = replay::replay(&session, folder, |_| Ok(()))?;
     println!("steps            {}", report.steps);
     print!("{}", report.account.to_text());
+    if let Some(task) = &report.task {
+        print!("{}", task_text(&task.result()));
+    }
     println!("state hash       {}", report.state_hash);
     println!("check-points     {} compared", report.checkpoints);
     if let Some(step) = report.first_difference {

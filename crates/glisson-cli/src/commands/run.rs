@@ -1,5 +1,6 @@
 //! `glisson run`.
 
+use super::task_text::task_text;
 use crate::text_file::write_text;
 use anyhow::bail;
 use glisson::scene::Scene;
@@ -48,8 +49,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut done = Done::new(&scene, args.csv.is_some());
     let start = Instant::now();
     let made = (1..=steps).try_for_each(|step| {
-        let input = scene.input_at(step as f64 * scene.world.time_step_s);
-        let report = simulation.advance(&input)?;
+        let (input, report) = follow_paths(&mut simulation, &scene, step)?;
         done.add(step, &input, &report);
         Ok(())
     });
@@ -62,6 +62,21 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         eprintln!("{}", notice.text);
     }
     made.and_then(|()| tell(args, simulation, &done, elapsed_s))
+}
+
+/// Makes step number `step` (from 1) along the scene's paths, with the clips that are set on the way.
+pub(super) fn follow_paths(
+    simulation: &mut Simulation,
+    scene: &Scene,
+    step: u64,
+) -> anyhow::Result<(StepInput, StepReport)> {
+    let [from_s, to_s] = [step - 1, step].map(|step| step as f64 * scene.world.time_step_s);
+    let input = scene.input_at(to_s);
+    let report = simulation.advance(&input)?;
+    for tool in scene.clips_between(from_s, to_s) {
+        simulation.clip_vessel(tool)?;
+    }
+    Ok((input, report))
 }
 
 /// What a run felt.
@@ -134,6 +149,7 @@ fn tell(args: &Args, simulation: Simulation, done: &Done, elapsed_s: f64) -> any
     let model = simulation.world().model_kind().name();
     let account = Account::of(simulation.world());
     let bodies = bodies_of(simulation.world());
+    let task = simulation.task().map(|task| task.record().result());
     let state_hash = simulation.finish()?;
     let simulated_s = steps as f64 * done.time_step_s;
     if args.json {
@@ -148,6 +164,7 @@ fn tell(args: &Args, simulation: Simulation, done: &Done, elapsed_s: f64) -> any
                     "name": name, "is_rigid": is_rigid, "n_tetrahedra": n_tets,
                 })).collect::<Vec<_>>(),
                 "deepest_overlap_m": done.deepest_overlap_m,
+                "task": task,
             })
         );
     } else {
@@ -163,6 +180,9 @@ fn tell(args: &Args, simulation: Simulation, done: &Done, elapsed_s: f64) -> any
             println!("deepest overlap  {:.3} mm, before it was undone", 1e3 * done.deepest_overlap_m);
         }
         println!("state hash       {state_hash}");
+        if let Some(task) = &task {
+            print!("\n{}", task_text(task));
+        }
     }
     Ok(())
 }

@@ -20,6 +20,7 @@ use glisson::model::{DeformableModel, LevelOfDetail};
 use glisson::record::session::SessionEvent;
 use glisson::scene::{BodySet, OrganBody, Scene, build_world, joint_mesh_hash};
 use glisson::tool::MAX_TOOLS;
+use glisson::training::task::TaskRun;
 use glisson::world::{StageWatch, StepInput, StepReport, World};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -78,6 +79,8 @@ pub struct Simulation {
     broken: Option<Broken>,
     /// What instruments follow that nobody has taken into the hand.
     script: Option<scripted::Run>,
+    /// What the scene's task asks for.
+    task: Option<TaskRun>,
 }
 
 impl Simulation {
@@ -87,6 +90,8 @@ impl Simulation {
         let workers = shared_workers(source.n_threads)?;
         let (world, bodies) =
             build_world(&source.scene, &source.folder, workers).with_context(|| source.origin.clone())?;
+        let task = source.scene.task.as_ref().map(|task| TaskRun::new(task, &world)).transpose();
+        let task = task.with_context(|| source.origin.clone())?;
         let recorder = record
             .map(|path| Recorder::create(path, &source.scene.text, joint_mesh_hash(&bodies)))
             .transpose()?;
@@ -103,7 +108,13 @@ impl Simulation {
             n_torn: 0,
             broken: None,
             script: None,
+            task,
         })
+    }
+
+    /// The scene's task, if it has one.
+    pub fn task(&self) -> Option<&TaskRun> {
+        self.task.as_ref()
     }
 
     /// Orders models only when told to: the session that is replayed holds all orders.
@@ -170,6 +181,9 @@ impl Simulation {
         if report.n_non_finite_nodes > 0 {
             let reason = format!("{} nodes have no finite position", report.n_non_finite_nodes);
             return Err(self.break_off(reason).into());
+        }
+        if let Some(task) = &mut self.task {
+            task.after_step(&self.world);
         }
         self.incidents.of_step(&report).into_iter().for_each(|incident| self.tell(incident));
         let is_asked = report.model.wants_recomputation && self.builder.is_none();
@@ -289,6 +303,13 @@ impl Simulation {
             simulation.record(&SessionEvent::Reset { step: simulation.world.steps_made() })?;
             simulation.script = None;
             simulation.world.reset();
+            if let Some(task) = simulation.task.take() {
+                // Where tissue is gone that a goal is about, there is no task any more.
+                match task.anew(&simulation.world) {
+                    Ok(task) => simulation.task = Some(task),
+                    Err(error) => simulation.tell(format!("the task cannot be begun again: {error}")),
+                }
+            }
             Ok(())
         })
     }
@@ -378,7 +399,7 @@ impl Simulation {
     }
 
     /// An instrument sets a clip on the vessel nearest to its tip; where there is none, the reason is told.
-    pub(crate) fn clip_vessel(&mut self, tool: usize) -> anyhow::Result<()> {
+    pub fn clip_vessel(&mut self, tool: usize) -> anyhow::Result<()> {
         self.guarded(|simulation| simulation.clip_vessel_now(tool))
     }
 

@@ -5,6 +5,7 @@ use glisson::math::{Aabb, DVec3};
 use glisson::model::kind::{MODELS, ModelKind};
 use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ThreadSnapshot, ToolSnapshot};
 use glisson::tool::{Tool, ToolInput};
+use glisson::training::task::TaskStatus;
 use glisson::world::spec::BodySpec;
 use glisson_runtime::devices::viewer::GREATEST_FORCE_N;
 use glisson_runtime::haptic_loop::HapticReport;
@@ -164,6 +165,13 @@ pub(super) fn error(message: &str) -> Value {
 pub(super) fn notice(notice: &Notice) -> Value {
     let kind = if notice.is_problem { "error" } else { "news" };
     json!({ "type": kind, "message": notice.text })
+}
+
+/// How far the task is.
+pub(super) fn task(status: &TaskStatus) -> Value {
+    let mut message = json!(status);
+    message["type"] = json!("task");
+    message
 }
 
 /// Whether this viewer controls, and whether anybody does.

@@ -8,6 +8,7 @@ pub mod frames;
 mod messages;
 mod socket;
 
+use crate::report::task_report;
 use access::Access;
 use anyhow::Context;
 use axum::Router;
@@ -16,6 +17,7 @@ use axum::http::{StatusCode, header};
 use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use glisson::training::task::TaskRecord;
 use glisson_runtime::Simulation;
 use glisson_runtime::control::Control;
 use glisson_runtime::haptic_loop::{HapticLoop, HapticReport, HapticSettings, HeldTool, Meters, ToolLink};
@@ -225,8 +227,10 @@ fn router(shared: Arc<Shared>, access: Access) -> Router {
     let api = Router::new()
         .route("/api/scene", get(scene))
         .route("/api/snapshot", get(latest_snapshot))
+        .route("/api/task", get(task_result))
         .route_layer(from_fn_with_state(Arc::<limits::Asked>::default(), limits::guard_api));
     api.route("/ws", get(socket::open))
+        .route("/report", get(report))
         .route("/", get(|| async { viewer_file("index.html") }))
         .route("/{*path}", get(|UrlPath(path): UrlPath<String>| async move { viewer_file(&path) }))
         .layer(from_fn_with_state(Arc::new(access), access::guard))
@@ -242,6 +246,36 @@ async fn scene(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
 async fn latest_snapshot(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
     let published = Arc::clone(&shared.published.borrow());
     axum::Json(messages::snapshot(&published))
+}
+
+/// What was written down of the task, or why there is nothing yet.
+fn finished_task(shared: &Shared) -> Result<Arc<TaskRecord>, (StatusCode, &'static str)> {
+    let latest = Arc::clone(&shared.published.borrow());
+    match (&latest.task, &latest.task_record) {
+        (_, Some(record)) => Ok(Arc::clone(record)),
+        (Some(_), None) => Err((StatusCode::CONFLICT, "the task is not over yet\n")),
+        (None, None) => Err((StatusCode::NOT_FOUND, "the scene has no task\n")),
+    }
+}
+
+/// The assessment of long movements takes a while: not where all viewers are served.
+async fn assessed<T: Send + 'static>(
+    shared: Arc<Shared>,
+    assess: impl FnOnce(&TaskRecord) -> T + Send + 'static,
+) -> Result<T, (StatusCode, &'static str)> {
+    let record = finished_task(&shared)?;
+    let assessed = tokio::task::spawn_blocking(move || assess(&record)).await;
+    assessed
+        .map_err(|_| (StatusCode::INTERNAL_SERVER_ERROR, "the assessment failed; see the program's output\n"))
+}
+
+async fn task_result(State(shared): State<Arc<Shared>>) -> Response {
+    assessed(shared, TaskRecord::result).await.map(axum::Json).into_response()
+}
+
+async fn report(State(shared): State<Arc<Shared>>) -> Response {
+    let html = assessed(shared, |record| task_report(record, Some("/"))).await;
+    html.map(axum::response::Html).into_response()
 }
 
 /// A file of the page.

@@ -9,6 +9,7 @@ use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use glisson::model::kind::ModelKind;
+use glisson::training::task::TaskStatus;
 use glisson_runtime::control::Viewer;
 use glisson_runtime::live::Command;
 use glisson_runtime::published::Published;
@@ -95,6 +96,7 @@ struct Told {
     /// Of the topology.
     version: u32,
     n_notices: usize,
+    task: Option<TaskStatus>,
 }
 
 impl Connection {
@@ -121,6 +123,12 @@ impl Connection {
             self.say(messages::notice(notice)).await?;
         }
         told.n_notices = latest.n_notices;
+        if latest.task != told.task {
+            told.task.clone_from(&latest.task);
+            if let Some(task) = &latest.task {
+                self.say(messages::task(task)).await?;
+            }
+        }
         if latest.model != told.model {
             told.model = latest.model;
             self.greet(latest).await?;
@@ -150,6 +158,7 @@ impl Connection {
             version: first.topology.version,
             // Who comes after the end is told what happened.
             n_notices: if first.is_broken { 0 } else { first.n_notices },
+            task: None,
         };
         self.greet(&first).await?;
         published.mark_changed();

@@ -5,7 +5,7 @@ use super::build_bodies::read_bodies;
 use super::build_error::BuildError;
 use super::build_shape::ShapeBuilder;
 use super::spec::Scene;
-use crate::image::vessels::read_vessels;
+use crate::image::vessels::{Tube, read_vessels};
 use crate::model::{BodySet, OrganBody};
 use crate::tool::fracture::Tearing;
 use crate::workers::SharedWorkers;
@@ -31,6 +31,9 @@ pub fn build_world(
     if spec.vessels.is_empty() {
         spec.vessels = shapes.vessels(&scene.organ.shape);
     }
+    let n_before = spec.vessels.len() as u32;
+    let moved = |tube: &Tube| Tube { parent: tube.parent.map(|parent| parent + n_before), ..*tube };
+    spec.vessels.extend(scene.organ.vessel_tubes.iter().map(moved));
     let kind = scene.organ.model;
     let (bodies, memory) = if scene.bodies.is_empty() {
         (BodySet::single(OrganBody { workers, ..organ_of(scene, folder, &mut shapes)? }), None)

@@ -19,6 +19,8 @@ pub struct PathPoint {
     pub time_s: f64,
     /// Where it is.
     pub tool: ToolInput,
+    /// Whether it sets a clip there on the vessel nearest to its tip.
+    pub sets_clip: bool,
 }
 
 /// An instrument as its table says.
@@ -364,15 +366,16 @@ fn read_path(
         let pose = ToolInput { tip_in_world_m, shaft_in_world, ..before };
         let pose = read_hand(&mut point, ["roll", "jaw"], pose)?;
         let trigger = share(&mut point, "trigger")?.unwrap_or(before.trigger);
+        let sets_clip = point.flag("clip")?.unwrap_or(false);
         point.finish()?;
-        path.push(PathPoint { time_s, tool: ToolInput { trigger, ..pose }.through(trocar_m) });
+        path.push(PathPoint { time_s, tool: ToolInput { trigger, ..pose }.through(trocar_m), sets_clip });
     }
     Ok(path)
 }
 
 /// Where a scripted tool is at `time_s`: at home before the first point, at the last point after it.
 pub fn tool_on_path(home: ToolInput, path: &[PathPoint], time_s: f64) -> ToolInput {
-    let mut before = PathPoint { time_s: 0.0, tool: home };
+    let mut before = PathPoint { time_s: 0.0, tool: home, sets_clip: false };
     for point in path {
         if time_s < point.time_s {
             let t = (time_s - before.time_s) / (point.time_s - before.time_s);

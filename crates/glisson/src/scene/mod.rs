@@ -12,6 +12,7 @@ mod law;
 mod material;
 mod when_cut;
 mod shape;
+mod vessel;
 mod organ;
 mod reader;
 mod rigid;
@@ -22,8 +23,9 @@ mod carried;
 mod build_shape;
 mod build_bodies;
 mod build_world;
-mod spec;
 mod suture;
+mod task;
+mod spec;
 
 pub use attachment::{AttachmentKind, AttachmentSource};
 pub use bodies::{BodySource, SceneBody};
@@ -37,6 +39,7 @@ pub use reader::{SceneError, SceneProblem};
 pub use rigid::RigidSource;
 pub use shape::{BodyShape, PhantomOrgan, ShapeSource};
 pub use spec::Scene;
+pub use task::{GateSource, GoalSource, StageSource, TaskSource};
 pub use when_cut::WhenCut;
 
 pub use crate::model::kind::{build_model, build_model_as_cut};

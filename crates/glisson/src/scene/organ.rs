@@ -4,7 +4,9 @@ use super::law::read_law;
 use super::material::{MaterialSource, TissuePartSource, read_material, read_tissue_parts};
 use super::reader::{SceneError, Section};
 use super::shape::{ShapeSource, read_shape};
+use super::vessel::read_vessels;
 use super::when_cut::{WhenCut, read_when_cut, turns_hybrid};
+use crate::image::vessels::Tube;
 use crate::material::{LawChoice, PronyTerm};
 use crate::math::Aabb;
 use crate::model::hybrid::condensed::ZoneLaw;
@@ -45,6 +47,8 @@ pub struct OrganSource {
     pub volume_penalty_pa: f64,
     /// Blood vessels in it, relative to the scene's folder; none when absent.
     pub vessels: Option<PathBuf>,
+    /// Blood vessels that the scene itself describes.
+    pub vessel_tubes: Vec<Tube>,
     /// What a crack in it takes; it does not tear when absent.
     pub tearing: Option<FractureEnergy>,
     /// Whether the mesh at a cut is mended when the blade is lifted.
@@ -107,6 +111,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
     let relaxation = read_relaxation(&mut section)?;
     let fibre = section.section("fibre")?.map(read_fibre).transpose()?;
     let vessels = section.string("vessels")?.map(|p| PathBuf::from(p.0));
+    let vessel_tubes = read_vessels(section.sections("vessel")?)?;
     let tearing = read_tearing(&mut section)?;
     if tearing.is_some() && !tissue_parts.is_empty() {
         let allowed = "one tissue: what a crack takes is known for the organ's own alone".into();
@@ -139,6 +144,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
         fibre,
         volume_penalty_pa,
         vessels,
+        vessel_tubes,
         tearing,
         mends_cuts,
         model,

@@ -11,6 +11,7 @@ use super::organ::OrganSource;
 use super::reader::{SceneError, Section, parse_toml};
 use super::simulation::read_simulation;
 use super::suture::read_sutures;
+use super::task::{TaskSource, read_task};
 use crate::record::session::{
     FIRST_VERSION_WITH_EMBEDDED_CUTS, FIRST_VERSION_WITH_HAND, FIRST_VERSION_WITH_PARTING_SCISSORS,
     SessionHeader,
@@ -37,6 +38,8 @@ pub struct Scene {
     pub paths: Vec<Vec<PathPoint>>,
     /// Surface file of each tool's tip, relative to the scene's folder; none for a ball.
     pub tool_shapes: Vec<Option<PathBuf>>,
+    /// What somebody who trains has to do in it.
+    pub task: Option<TaskSource>,
     /// The file's text, for the session.
     pub text: String,
 }
@@ -89,6 +92,7 @@ impl Scene {
         let tied = root.sections("attachment")?;
         let sewn = root.sections("suture")?;
         let tools = tool_sections(&mut root)?;
+        let task = root.section("task")?;
         root.finish()?;
 
         let simulation = read_simulation(simulation)?;
@@ -152,8 +156,10 @@ impl Scene {
             sutures: read_sutures(sewn)?,
             tools: scripted,
         };
+        let names: Vec<String> = world.tools.iter().map(|tool| tool.name.clone()).collect();
+        let task = task.map(|task| read_task(task, &names)).transpose()?;
         let (most_parts, text) = (simulation.most_parts, text.to_string());
-        Ok(Self { world, organ, bodies, attachments, most_parts, paths, tool_shapes, text })
+        Ok(Self { world, organ, bodies, attachments, most_parts, paths, tool_shapes, task, text })
     }
 
     /// Whether the cuts of its instruments are embedded.
@@ -168,6 +174,13 @@ impl Scene {
             *input = tool_on_path(tool.home, path, time_s);
         }
         StepInput::of(&tools)
+    }
+
+    /// Scripted tools that set a clip after `from_s` and not after `to_s`.
+    pub fn clips_between(&self, from_s: f64, to_s: f64) -> impl Iterator<Item = usize> + '_ {
+        let is_due =
+            move |point: &PathPoint| point.sets_clip && from_s < point.time_s && point.time_s <= to_s;
+        self.paths.iter().enumerate().filter(move |(_, path)| path.iter().any(is_due)).map(|(tool, _)| tool)
     }
 
     /// When the last scripted motion ends [s]; none without one.

@@ -1,7 +1,8 @@
-//! Training: what a session is measured by.
+//! Training: what a session is measured by, and tasks.
 //!
 //! ```text
 //! world after each step -> trace (100 samples a second) -> gestures, metrics, moments
+//!                       -> goals of a task, stage by stage -> result
 //! ```
 //!
 //! Nothing here changes a world, and all of it follows from the steps alone: a replay gives the same numbers.
@@ -12,3 +13,4 @@ pub mod smoothness;
 pub mod gestures;
 pub mod moments;
 pub mod metrics;
+pub mod task;

@@ -1,7 +1,6 @@
 //! What is known of a session for its assessment: instruments, forces, cuts and blood at regular times.
 
 use crate::math::DVec3;
-use crate::mesh::TetMesh;
 use crate::record::snapshot::{ContactKind, ContactPoints};
 use crate::tool::ToolInput;
 use crate::world::World;
@@ -150,7 +149,6 @@ impl TraceRecorder {
 
     fn take(&mut self, world: &World, removed_m3: f64) {
         let trace = &mut self.trace;
-        let rest = world.organ().mesh();
         for (place, (tool, since)) in trace.tools.iter_mut().zip(&mut self.since).enumerate() {
             let report = &world.report().tools[place];
             tool.poses.push(world.tool_pose(place));
@@ -158,7 +156,7 @@ impl TraceRecorder {
             tool.peak_force_n.push(since.peak_n);
             tool.touches.push(since.touches);
             tool.n_held_nodes.push(report.n_held_nodes);
-            tool.touched_at_rest_m.push(touched_at_rest_m(world, rest, place));
+            tool.touched_at_rest_m.push(world.touched_at_rest_m(place));
             *since = Since::default();
         }
         let (lost_m3, rate_m3_per_s) =
@@ -184,11 +182,4 @@ impl TraceRecorder {
         };
         trace.n_clashing.push(n_clashing);
     }
-}
-
-/// Where the tissue that a tip touches was at rest [m].
-fn touched_at_rest_m(world: &World, rest: &TetMesh, tool: usize) -> Option<DVec3> {
-    let contact = world.tip_contact(tool)?;
-    let corners = contact.nodes.iter().zip(contact.weights);
-    Some(corners.map(|(node, weight)| rest.positions_m[node.index()] * weight).sum())
 }

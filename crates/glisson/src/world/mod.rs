@@ -595,10 +595,10 @@ impl World {
         self.tool_states[tool].now
     }
 
-    /// Where the tip of an instrument, or its first jaw, touches an organ.
-    pub fn tip_contact(&self, tool: usize) -> Option<ContactReport> {
-        let contact = self.tool_states[tool].contacts[ToolPart::Tip.index()].as_ref();
-        contact.map(|contact| contact_report(contact, self.organ.positions_m()))
+    /// Where the tissue that the tip of an instrument, or its first jaw, touches was at rest [m].
+    pub fn touched_at_rest_m(&self, tool: usize) -> Option<DVec3> {
+        let contact = self.tool_states[tool].contacts[ToolPart::Tip.index()].as_ref()?;
+        Some(contact.point_m(&self.organ.mesh().positions_m))
     }
 
     /// The instruments.

@@ -1,0 +1,211 @@
+//! `glisson task`.
+
+use super::run::follow_paths;
+use super::serve::Address;
+use super::task_text::task_text;
+use crate::tasks::{TASKS, task_named};
+use crate::text_file::write_text;
+use anyhow::{Context, bail};
+use glisson::scene::Scene;
+use glisson::training::task::{Outcome, TaskRun};
+use glisson_runtime::{OpenScene, Simulation};
+use glisson_view::report::task_report;
+use serde_json::json;
+use std::path::PathBuf;
+
+/// Tasks to train with: what there is, doing one, checking one of your own.
+///
+/// A task is a scene with a [task] table (docs/tasks.md). It is measured while it is done, and reported at its end.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  glisson task list\n  glisson task run palpation\n  \
+    glisson task run grasp_and_lift --headless --out out/tasks\n  glisson task check my_task.toml")]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Verb {
+    /// The tasks that come with the program
+    List {
+        /// Print them as JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// Do a task in the browser, or let its demonstration do it
+    Run(Run),
+    /// Say whether a task can be done: reads it, makes its organs, and finds its places in them
+    Check {
+        /// A name of `glisson task list`, or a scene file with a [task]
+        task: String,
+    },
+}
+
+#[derive(Debug, clap::Args)]
+struct Run {
+    /// A name of `glisson task list`, or a scene file with a [task]
+    task: String,
+    /// Follow the paths of the scene's instruments without a window; exit code 1 if the task is not passed
+    #[arg(long)]
+    headless: bool,
+    /// Folder for the session, and without a window the report and its numbers
+    #[arg(long, default_value = "out/tasks", value_name = "DIR")]
+    out: PathBuf,
+    /// Threads of models that can use several; the results do not depend on it
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
+    threads: u8,
+    /// Without a window: print the result as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    address: Address,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    match &args.verb {
+        Verb::List { json } => list(*json),
+        Verb::Run(args) => do_task(args),
+        Verb::Check { task } => check(task),
+    }
+}
+
+fn list(as_json: bool) -> anyhow::Result<()> {
+    let mut all = Vec::new();
+    for (name, text) in TASKS {
+        let scene = Scene::parse(text).with_context(|| format!("the task {name}"))?;
+        let task = scene.task.with_context(|| format!("the scene {name} has no task"))?;
+        all.push((*name, task));
+    }
+    if as_json {
+        let row = |(name, task): &(&str, glisson::scene::TaskSource)| {
+            let stages: Vec<&str> = task.stages.iter().map(|stage| stage.title.as_str()).collect();
+            json!({ "name": name, "title": task.title, "about": task.about, "stages": stages, "time_limit_s": task.time_limit_s })
+        };
+        println!("{}", serde_json::Value::from(all.iter().map(row).collect::<Vec<_>>()));
+        return Ok(());
+    }
+    let width = all.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
+    for (name, task) in &all {
+        let limit = task.time_limit_s.map(|limit_s| format!(" ({limit_s:.0} s)")).unwrap_or_default();
+        println!("{name:width$}  {}{limit}", task.title);
+        println!("{:width$}  {}", "", task.about);
+    }
+    println!("\nDo one with `glisson task run {}`.", all.first().map_or("NAME", |(name, _)| name));
+    Ok(())
+}
+
+/// A task of the program, or a scene file with one.
+fn open(task: &str, n_threads: usize) -> anyhow::Result<OpenScene> {
+    let source = match task_named(task) {
+        Some(text) => OpenScene {
+            scene: Scene::parse(text).with_context(|| format!("the task {task}"))?,
+            folder: PathBuf::from("."),
+            origin: format!("the task {task}"),
+            n_threads,
+        },
+        None => {
+            let known: Vec<&str> = TASKS.iter().map(|(name, _)| *name).collect();
+            let path = PathBuf::from(task);
+            if !path.exists() {
+                let suggestion = glisson::text::did_you_mean(task, &known);
+                bail!("there is no task and no file \"{task}\"{suggestion}; tasks: {}", known.join(", "));
+            }
+            OpenScene { n_threads, ..OpenScene::read(&path)? }
+        }
+    };
+    if source.scene.task.is_none() {
+        bail!("{}: the scene has no [task]; docs/tasks.md says how to write one", source.origin);
+    }
+    Ok(source)
+}
+
+/// What the files of a task are called.
+fn stem(task: &str) -> String {
+    PathBuf::from(task).file_stem().map_or_else(|| "task".into(), |stem| stem.to_string_lossy().into_owned())
+}
+
+fn check(task: &str) -> anyhow::Result<()> {
+    let source = open(task, 1)?;
+    let (scene, origin) = (source.scene.clone(), source.origin.clone());
+    let simulation = Simulation::open(source, None)?;
+    let task = scene.task.as_ref().context("a scene without a task was refused")?;
+    println!("{origin}: {}", task.title);
+    println!(
+        "organ      {} tetrahedra, {}",
+        simulation.mesh().tetrahedra.len(),
+        simulation.body().material_text
+    );
+    for tool in &scene.world.tools {
+        println!("instrument {} ({})", tool.name, tool.kind.name());
+    }
+    for (number, stage) in (1..).zip(&task.stages) {
+        println!("stage {number}    {}", stage.title);
+    }
+    match scene.end_of_paths_s() {
+        Some(end_s) => println!("its demonstration takes {end_s:.1} s"),
+        None => println!("no demonstration: its instruments have no [[tool.path]]"),
+    }
+    println!("it can be done");
+    Ok(())
+}
+
+fn do_task(args: &Run) -> anyhow::Result<()> {
+    // A taken port is better known before the work than after it.
+    let listener = if args.headless { None } else { Some(args.address.bind()?) };
+    let source = open(&args.task, usize::from(args.threads))?;
+    let scene = source.scene.clone();
+    std::fs::create_dir_all(&args.out)
+        .with_context(|| format!("{}: cannot make the folder", args.out.display()))?;
+    let stem = stem(&args.task);
+    let file = |ending: &str| args.out.join(format!("{stem}{ending}"));
+    let mut simulation = Simulation::open(source, Some(&file(".jsonl")))?;
+    if let Some(listener) = listener {
+        return args.address.serve(simulation, listener);
+    }
+    let end_s = scene.end_of_paths_s().with_context(|| {
+        format!(
+            "{}: nothing does the task without a window: its instruments have no [[tool.path]]",
+            args.task
+        )
+    })?;
+    let is_over = |simulation: &Simulation| simulation.task().is_some_and(|task| task.outcome().is_some());
+    let n_steps = (end_s / scene.world.time_step_s).ceil() as u64;
+    let begin = std::time::Instant::now();
+    let mut steps = 0;
+    while steps < n_steps && !is_over(&simulation) {
+        steps += 1;
+        follow_paths(&mut simulation, &scene, steps)?;
+    }
+    let elapsed_s = begin.elapsed().as_secs_f64();
+    let real_time_factor = steps as f64 * scene.world.time_step_s / elapsed_s;
+    let record = simulation.task().map(TaskRun::record).context("the scene has a task")?;
+    let notices: Vec<String> = simulation.notices().iter().map(|notice| notice.text.clone()).collect();
+    let state_hash = simulation.finish()?;
+    let result = record.result();
+    let (report, numbers) = (file(".html"), file(".json"));
+    write_text(&report, &task_report(&record, None))?;
+    let whole = json!({
+        "result": &result, "steps": steps, "real_time_factor": real_time_factor, "state_hash": state_hash.to_string(),
+        "notices": notices,
+    });
+    write_text(&numbers, &format!("{}\n", serde_json::to_string_pretty(&whole)?))?;
+    if args.json {
+        println!("{whole}");
+    } else {
+        print!("{}", task_text(&result));
+        println!("real-time factor {real_time_factor:.1}");
+        println!("state hash       {state_hash}");
+        println!(
+            "written          {}, {}, {}",
+            file(".jsonl").display(),
+            numbers.display(),
+            report.display()
+        );
+    }
+    match result.outcome {
+        Some(Outcome::Done) if result.is_passed => Ok(()),
+        Some(Outcome::Done) => bail!("the task was done, but beyond its safety gate"),
+        Some(Outcome::TimeOver) => bail!("the task was not done within its time"),
+        None => bail!("the demonstration ended before the task was done"),
+    }
+}

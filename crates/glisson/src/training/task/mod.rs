@@ -1,0 +1,11 @@
+//! A task in a world: its stages, one after the other, and what came of it.
+
+mod landmark;
+mod cut_line;
+mod goal;
+mod result;
+mod run;
+
+pub use cut_line::CutQuality;
+pub use result::{GateLine, GestureTime, MetricLine, Outcome, StageResult, TaskRecord, TaskResult};
+pub use run::{TaskError, TaskRun, TaskStatus};

@@ -1,0 +1,224 @@
+//! A task that somebody does: which stage it is at, and what is written down for its assessment.
+
+use super::goal::{Goal, Look};
+use super::result::{Outcome, StageResult, TaskRecord};
+use crate::math::DVec3;
+use crate::scene::TaskSource;
+use crate::training::moments::{Fault, Moment};
+use crate::training::trace::TraceRecorder;
+use crate::world::World;
+use serde::Serialize;
+
+/// Why a task cannot be done in a scene.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum TaskError {
+    /// A place of a goal is not in the tissue.
+    #[error(
+        "stage {stage} of the task, \"{title}\": there is no tissue at ({:.1}, {:.1}, {:.1}) mm; give a place at rest within 5 mm of it",
+        1e3 * point_m.x, 1e3 * point_m.y, 1e3 * point_m.z
+    )]
+    NoTissue {
+        /// Which stage, from 1.
+        stage: usize,
+        /// What it is called.
+        title: String,
+        /// The place [m].
+        point_m: DVec3,
+    },
+    /// A goal about vessels in an organ without any.
+    #[error(
+        "stage {stage} of the task, \"{title}\", is about vessels, and the organ has none: give it vessels = \"vessels.csv\", or \
+         phantom = {{ vessels = true }}"
+    )]
+    NoVessels {
+        /// Which stage, from 1.
+        stage: usize,
+        /// What it is called.
+        title: String,
+    },
+}
+
+/// What who does a task is shown.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TaskStatus {
+    /// What the task is called.
+    pub title: String,
+    /// What is to be done now; empty when it is over.
+    pub stage: String,
+    /// Stages that are done.
+    pub n_done: usize,
+    /// Stages in all.
+    pub n_stages: usize,
+    /// How far the stage is, 0 to 1, in hundredths.
+    pub share: f64,
+    /// Help, when it takes long.
+    pub hint: Option<String>,
+    /// Mistakes so far.
+    pub n_mistakes: usize,
+    /// The last one.
+    pub mistake: Option<String>,
+    /// Simulated time at which it began [s]; none before an instrument has moved.
+    pub began_s: Option<f64>,
+    /// How long it may take [s].
+    pub time_limit_s: Option<f64>,
+    /// Once it is over.
+    pub outcome: Option<Outcome>,
+}
+
+/// The clock of a task starts when the tip of an instrument has gone so far from where it was [m]: a choice.
+const BEGINS_M: f64 = 1e-3;
+
+/// A task that is being done. It begins when an instrument moves.
+#[derive(Debug)]
+pub struct TaskRun {
+    source: TaskSource,
+    /// Where the tips were before it began [m].
+    waiting_m: Vec<DVec3>,
+    goals: Vec<Goal>,
+    recorder: TraceRecorder,
+    stage: usize,
+    /// When the stage began, and since when its goal holds [s after the task's beginning].
+    stage_began_s: f64,
+    holds_since_s: Option<f64>,
+    look: Look,
+    stages: Vec<StageResult>,
+    mistakes: Vec<Moment>,
+    began_s: Option<f64>,
+    outcome: Option<Outcome>,
+}
+
+impl TaskRun {
+    /// A task in a world at rest.
+    ///
+    /// # Errors
+    /// [`TaskError`] where the scene has not what a goal is about.
+    pub fn new(source: &TaskSource, world: &World) -> Result<Self, TaskError> {
+        let mut goals = Vec::new();
+        for (stage, of) in (1..).zip(&source.stages) {
+            let title = of.title.clone();
+            if of.goal.is_about_vessels() && world.vessels().is_none() {
+                return Err(TaskError::NoVessels { stage, title });
+            }
+            let goal = Goal::new(of.goal, world);
+            goals.push(goal.map_err(|point_m| TaskError::NoTissue { stage, title, point_m })?);
+        }
+        Ok(Self {
+            source: source.clone(),
+            waiting_m: (0..world.tools().len()).map(|tool| tip_m(world, tool)).collect(),
+            goals,
+            recorder: TraceRecorder::new(world),
+            stage: 0,
+            stage_began_s: 0.0,
+            holds_since_s: None,
+            look: Look::default(),
+            stages: Vec::new(),
+            mistakes: Vec::new(),
+            began_s: None,
+            outcome: None,
+        })
+    }
+
+    /// The same task from its beginning.
+    ///
+    /// # Errors
+    /// As [`TaskRun::new`]: tissue that a goal is about may be gone.
+    pub fn anew(&self, world: &World) -> Result<Self, TaskError> {
+        Self::new(&self.source, world)
+    }
+
+    /// After each step. Once the task is over nothing more is written down.
+    pub fn after_step(&mut self, world: &World) {
+        if self.outcome.is_some() || !self.has_begun(world) || !self.recorder.after_step(world) {
+            return;
+        }
+        let now_s = self.recorder.trace().duration_s();
+        let look = self.goals[self.stage].look(world);
+        if let Some(mistake) = &look.mistake {
+            let detail = format!("{}: {mistake}", self.source.stages[self.stage].title);
+            self.mistakes.push(Moment {
+                fault: Fault::Mistake,
+                from_s: now_s,
+                to_s: now_s,
+                tool: None,
+                detail,
+            });
+        }
+        self.holds_since_s = look.holds.then(|| self.holds_since_s.unwrap_or(now_s));
+        self.look = look;
+        let hold_s = self.source.stages[self.stage].hold_s;
+        // A sample's time is a sum of steps.
+        if self.holds_since_s.is_some_and(|since_s| now_s - since_s >= hold_s - 1e-9) {
+            self.end_stage(now_s);
+        }
+        if self.outcome.is_none() && self.source.time_limit_s.is_some_and(|limit_s| now_s >= limit_s) {
+            self.outcome = Some(Outcome::TimeOver);
+        }
+    }
+
+    /// Whether it has begun before this step.
+    fn has_begun(&mut self, world: &World) -> bool {
+        if self.began_s.is_some() {
+            return true;
+        }
+        let moved = |(tool, from_m): (usize, &DVec3)| tip_m(world, tool).distance(*from_m) > BEGINS_M;
+        if self.waiting_m.iter().enumerate().any(moved) {
+            self.recorder = TraceRecorder::new(world);
+            self.began_s = Some(world.steps_made() as f64 * world.spec().time_step_s);
+        }
+        false
+    }
+
+    fn end_stage(&mut self, now_s: f64) {
+        self.stages.push(StageResult {
+            title: self.source.stages[self.stage].title.clone(),
+            began_s: self.stage_began_s,
+            ended_s: now_s,
+        });
+        (self.stage, self.stage_began_s, self.holds_since_s) = (self.stage + 1, now_s, None);
+        self.look = Look::default();
+        if self.stage == self.goals.len() {
+            self.outcome = Some(Outcome::Done);
+        }
+    }
+
+    /// How it ended, once it has.
+    pub fn outcome(&self) -> Option<Outcome> {
+        self.outcome
+    }
+
+    /// What who does it is shown now.
+    pub fn status(&self) -> TaskStatus {
+        let stage = self.source.stages.get(self.stage);
+        let in_stage_s = self.recorder.trace().duration_s() - self.stage_began_s;
+        let hint = stage.filter(|stage| self.outcome.is_none() && in_stage_s >= stage.hint_after_s);
+        TaskStatus {
+            title: self.source.title.clone(),
+            stage: stage.map(|stage| stage.title.clone()).unwrap_or_default(),
+            n_done: self.stage,
+            n_stages: self.goals.len(),
+            share: (self.look.share * 100.0).floor() / 100.0,
+            hint: hint.and_then(|stage| stage.hint.clone()),
+            n_mistakes: self.mistakes.len(),
+            mistake: self.mistakes.last().map(|mistake| mistake.detail.clone()),
+            began_s: self.began_s,
+            time_limit_s: self.source.time_limit_s,
+            outcome: self.outcome,
+        }
+    }
+
+    /// What was written down of it so far.
+    pub fn record(&self) -> TaskRecord {
+        TaskRecord {
+            source: self.source.clone(),
+            trace: self.recorder.trace().clone(),
+            outcome: self.outcome,
+            stages: self.stages.clone(),
+            mistakes: self.mistakes.clone(),
+            quality: self.goals.iter().find_map(Goal::cut_quality),
+        }
+    }
+}
+
+fn tip_m(world: &World, tool: usize) -> DVec3 {
+    world.tool_pose(tool).tip_in_world_m
+}

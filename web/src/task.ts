@@ -1,0 +1,129 @@
+/** The scene's task: what is to be done now, how far it is, the time, and at its end the way to the report. */
+import { fail, fieldsOf, numberAt, stringAt, type Fields } from "./fields";
+
+export type TaskOutcome = "done" | "time_over";
+
+export interface TaskStatus {
+  readonly type: "task";
+  readonly title: string;
+  /** What is to be done now; empty when it is over. */
+  readonly stage: string;
+  readonly n_done: number;
+  readonly n_stages: number;
+  /** How far the stage is, 0 to 1. */
+  readonly share: number;
+  /** Help, when it takes long. */
+  readonly hint: string | null;
+  readonly n_mistakes: number;
+  readonly mistake: string | null;
+  /** Simulated time at which it began; null before an instrument has moved. */
+  readonly began_s: number | null;
+  readonly time_limit_s: number | null;
+  readonly outcome: TaskOutcome | null;
+}
+
+function textOrNull(fields: Fields, name: string): string | null {
+  return fields[name] === null ? null : stringAt(fields, name, "task");
+}
+
+function numberOrNull(fields: Fields, name: string): number | null {
+  return fields[name] === null ? null : numberAt(fields, name, "task", 0);
+}
+
+/** @throws ProtocolError naming the field that is wrong. */
+export function decodeTask(message: unknown): TaskStatus {
+  const fields = fieldsOf(message, "task");
+  const outcome = textOrNull(fields, "outcome");
+  if (outcome !== null && outcome !== "done" && outcome !== "time_over") {
+    fail(`task.outcome is "${outcome.slice(0, 40)}"; it may be done, time_over or null`);
+  }
+  return {
+    type: "task",
+    title: stringAt(fields, "title", "task"),
+    stage: stringAt(fields, "stage", "task"),
+    n_done: numberAt(fields, "n_done", "task", 0),
+    n_stages: numberAt(fields, "n_stages", "task", 1),
+    share: numberAt(fields, "share", "task", 0),
+    hint: textOrNull(fields, "hint"),
+    n_mistakes: numberAt(fields, "n_mistakes", "task", 0),
+    mistake: textOrNull(fields, "mistake"),
+    began_s: numberOrNull(fields, "began_s"),
+    time_limit_s: numberOrNull(fields, "time_limit_s"),
+    outcome,
+  };
+}
+
+/** Minutes and seconds: `1:05`. */
+export function clockText(time_s: number): string {
+  const whole_s = Math.max(0, Math.floor(time_s));
+  return `${Math.floor(whole_s / 60)}:${String(whole_s % 60).padStart(2, "0")}`;
+}
+
+/** The time that a task has taken at `now_s`, and what it may take: `0:12 of 3:00`. */
+export function timeText(task: TaskStatus, now_s: number): string {
+  if (task.began_s === null) return "begins when you move an instrument";
+  const limit = task.time_limit_s === null ? "" : ` of ${clockText(task.time_limit_s)}`;
+  return `${clockText(now_s - task.began_s)}${limit}`;
+}
+
+/** How a task ended, in words. */
+export function outcomeText(outcome: TaskOutcome): string {
+  return outcome === "done" ? "All stages are done." : "The time is over.";
+}
+
+export class TaskPanel {
+  private status: TaskStatus | null = null;
+  private readonly title = document.createElement("h2");
+  private readonly time = document.createElement("span");
+  private readonly stage = document.createElement("p");
+  private readonly bar = document.createElement("progress");
+  private readonly hint = document.createElement("p");
+  private readonly mistake = document.createElement("p");
+  private readonly report = document.createElement("a");
+  /** The simulated time at which it ended. */
+  private ended_s: number | null = null;
+  private now_s = 0;
+
+  constructor(private readonly root: HTMLElement) {
+    const head = document.createElement("header");
+    head.append(this.title, this.time);
+    this.stage.className = "stage";
+    this.stage.setAttribute("role", "status");
+    this.bar.max = 1;
+    this.bar.setAttribute("aria-label", "How far the task is");
+    this.hint.className = "task-hint";
+    this.mistake.className = "mistake";
+    this.mistake.setAttribute("role", "status");
+    this.report.textContent = "Look at the report";
+    this.report.href = "report";
+    this.report.target = "_blank";
+    this.report.rel = "noopener";
+    root.append(head, this.stage, this.bar, this.hint, this.mistake, this.report);
+  }
+
+  show(status: TaskStatus): void {
+    this.ended_s = status.outcome === null ? null : (this.ended_s ?? this.now_s);
+    this.status = status;
+    this.root.hidden = false;
+    this.title.textContent = status.title;
+    const number = `${Math.min(status.n_done + 1, status.n_stages)} of ${status.n_stages}`;
+    this.stage.textContent = status.outcome === null ? `${number}: ${status.stage}` : outcomeText(status.outcome);
+    this.stage.dataset.outcome = status.outcome ?? "";
+    this.bar.value = (status.n_done + status.share) / status.n_stages;
+    this.hint.textContent = status.hint ?? "";
+    this.hint.hidden = status.hint === null;
+    const times = status.n_mistakes > 1 ? ` (${status.n_mistakes} mistakes)` : "";
+    this.mistake.textContent = `${status.mistake ?? ""}${times}`;
+    this.mistake.hidden = status.mistake === null;
+    this.report.hidden = status.outcome === null;
+    this.tick(this.now_s);
+  }
+
+  /** The simulated time goes on. */
+  tick(now_s: number): void {
+    this.now_s = now_s;
+    if (this.status === null) return;
+    const text = timeText(this.status, this.ended_s ?? now_s);
+    if (this.time.textContent !== text) this.time.textContent = text;
+  }
+}

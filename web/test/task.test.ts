@@ -1,0 +1,41 @@
+import { describe, expect, it } from "vitest";
+import { decodeText } from "../src/protocol";
+import { clockText, timeText, type TaskStatus } from "../src/task";
+
+const STATUS: TaskStatus = {
+  type: "task",
+  title: "Find the nodule",
+  stage: "Touch the liver",
+  n_done: 0,
+  n_stages: 2,
+  share: 0.25,
+  hint: null,
+  n_mistakes: 0,
+  mistake: null,
+  began_s: null,
+  time_limit_s: 180,
+  outcome: null,
+};
+
+describe("the task's message", () => {
+  it("is read as it was sent", () => {
+    expect(decodeText(JSON.stringify(STATUS))).toEqual(STATUS);
+    const over = { ...STATUS, began_s: 1.5, hint: "left", mistake: "marked 30 mm from the place", n_mistakes: 1, outcome: "time_over" };
+    expect(decodeText(JSON.stringify(over))).toEqual(over);
+  });
+
+  it("is refused with the field that is wrong", () => {
+    expect(() => decodeText(JSON.stringify({ ...STATUS, outcome: "won" }))).toThrow(/task.outcome is "won"; it may be done/);
+    expect(() => decodeText(JSON.stringify({ ...STATUS, stage: 3 }))).toThrow(/task.stage must be a string/);
+    expect(() => decodeText(JSON.stringify({ ...STATUS, n_stages: 0 }))).toThrow(/at least 1/);
+  });
+});
+
+describe("the task's time", () => {
+  it("counts from the first motion, in minutes and seconds", () => {
+    expect(clockText(65.9)).toBe("1:05");
+    expect(timeText(STATUS, 12)).toBe("begins when you move an instrument");
+    expect(timeText({ ...STATUS, began_s: 2 }, 75.5)).toBe("1:13 of 3:00");
+    expect(timeText({ ...STATUS, began_s: 2, time_limit_s: null }, 2)).toBe("0:00");
+  });
+});

@@ -12,6 +12,7 @@ export interface Page {
   readonly bodies: HTMLElement;
   readonly contacts: HTMLElement;
   readonly hint: HTMLElement;
+  readonly outside: HTMLElement;
 }
 
 function part<T extends HTMLElement>(id: string): T {
@@ -34,5 +35,6 @@ export function findPage(): Page {
     bodies: part("bodies"),
     contacts: part("contacts"),
     hint: part("hint"),
+    outside: part("outside"),
   };
 }

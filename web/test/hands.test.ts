@@ -12,6 +12,8 @@ const TOOL: ToolInfo = {
   shaft_radius_m: 0.002,
   shaft_length_m: 0.3,
   jaws: { length_m: 0.02, width_m: 0.005, greatest_opening_rad: 1 },
+  optics: null,
+  trocar_m: null,
   home_tip_m: [0, 0, 0],
   home_shaft: [0, -1, 0],
   home_jaw: 1,

@@ -64,6 +64,12 @@ fn described(tool: &Tool) -> Value {
             "greatest_opening_rad": jaws.greatest_opening_rad,
         })
     });
+    let optics = tool.kind.optics().map(|optics| {
+        json!({
+            "view_angle_rad": optics.view_angle_rad,
+            "field_of_view_rad": optics.field_of_view_rad,
+        })
+    });
     json!({
         "name": tool.name,
         "kind": tool.kind.name(),
@@ -71,6 +77,7 @@ fn described(tool: &Tool) -> Value {
         "shaft_radius_m": tool.shaft_radius_m,
         "shaft_length_m": tool.shaft_length_m,
         "jaws": jaws,
+        "optics": optics,
         "trocar_m": tool.trocar_m.map(|p| p.to_array()),
         "home_tip_m": tool.home.tip_in_world_m.to_array(),
         "home_shaft": tool.home.shaft_in_world.to_array(),

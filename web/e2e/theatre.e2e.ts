@@ -28,6 +28,7 @@ describe.skipIf(url === undefined)(`the theatre view of ${url}`, () => {
     await page.goto(url!);
     await waitForOrgan(page);
     await page.keyboard.press("Shift+R");
+    await page.waitForFunction(() => window.glisson!.hello!.tools.every(({ home_tip_m }, i) => home_tip_m.every((x, k) => Math.abs(x - window.glisson!.header!.tools[i].tip_m[k]) < 1e-6)));
   });
   afterEach(async () => {
     await Promise.all(browser.contexts().map((context) => context.close()));
@@ -112,6 +113,21 @@ describe.skipIf(url === undefined)(`the theatre view of ${url}`, () => {
     await page.screenshot({ path: resultFile("theatre-push.png") });
     await page.mouse.up();
     await until(() => Math.hypot(...window.glisson!.header!.forceOnTool_n) === 0);
+    expect(problems).toEqual([]);
+  });
+
+  it("keys move the instrument along the picture", async () => {
+    await enter();
+    await page.keyboard.press("1");
+    const tip = () => page.evaluate(() => window.glisson!.header!.tools[0].tip_m);
+    const before = await tip();
+    for (let i = 0; i < 4; i++) await page.keyboard.press("i");
+    await until(() => window.glisson!.tool.active && window.glisson!.tool.settled);
+    await page.waitForTimeout(500);
+    const { up } = (await theatre()).camera;
+    const way = (await tip()).map((x, i) => x - before[i]);
+    expect(way.reduce((sum, x, i) => sum + x * up[i], 0)).toBeCloseTo(0.004, 5);
+    expect(Math.hypot(...way)).toBeCloseTo(0.004, 5);
     expect(problems).toEqual([]);
   });
 

@@ -71,7 +71,8 @@ export class Instrument {
     const grip = solidMaterial({ colour: 0x20262c, metal: 0, softness: 0.3 });
     // The neck leaves the sphere where its radius has come down to the shaft's.
     const neck = tool.jaws?.length_m ?? Math.sqrt(Math.max(tip * tip - shaft * shaft, 0));
-    if (tool.jaws === null) this.probe.add(new Mesh(new SphereGeometry(tip, 40, 28), polished));
+    const glass = solidMaterial({ colour: 0x0b1620, metal: 0, softness: 0.04 });
+    if (tool.jaws === null) this.probe.add(new Mesh(new SphereGeometry(tip, 40, 28), tool.optics === null ? polished : glass));
     else this.addJaws(tool.jaws, polished);
     this.probe.add(new Mesh(new CylinderGeometry(shaft, shaft, length - neck, 40, 1, true)
       .rotateX(Math.PI / 2)

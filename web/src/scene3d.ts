@@ -31,6 +31,8 @@ export interface OtherView {
   project(point_m: Vector3): [number, number] | null;
   middle(): [number, number];
   axes(): ViewAxes | null;
+  /** From where the view from outside would show things as large. */
+  readonly distance_m: number;
   draw(): void;
 }
 
@@ -295,6 +297,11 @@ export class Scene3d {
     if (seen != null) return seen;
     const p = point_m.clone().project(this.camera);
     return [((p.x + 1) / 2) * this.width, ((1 - p.y) / 2) * this.height];
+  }
+
+  /** From where the view from outside shows things as large as they are shown [m]. */
+  get distance_m(): number {
+    return this.other?.distance_m ?? this.orbit.distance_m;
   }
 
   axes(): ViewAxes {

@@ -204,6 +204,7 @@ export class Viewer {
         this.hands.press(action);
         break;
       case "reset_simulation":
+        this.theatre.smear = 0;
         this.controls.cancel();
         this.hands.forget();
         this.table.level();
@@ -302,7 +303,7 @@ export class Viewer {
     this.showWaiting();
     if (this.sceneChanged) {
       this.scene.styleTools(arrowScale_m_per_n(this.history.peak_n), this.shown.forces, !this.shown.contacts);
-      this.contacts.show(this.scene.orbit.distance_m);
+      this.contacts.show(this.scene.distance_m);
       if (this.header !== null) {
         this.scene.showTools(this.header);
         this.theatre.take(this.header);

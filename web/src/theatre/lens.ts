@@ -98,12 +98,12 @@ float film(vec2 p) {
 vec3 smeared(vec2 p) {
   float thick = smear * film(p);
   vec3 sum = vec3(0.0);
-  for (int i = 0; i < 20; i++) {
-    float t = (float(i) + 0.5) / 20.0;
+  for (int i = 0; i < 24; i++) {
+    float t = (float(i) + 0.5) / 24.0;
     float turn = 2.399963 * float(i);
     sum += texture2D(picture, straight(p + 0.17 * thick * sqrt(t) * vec2(cos(turn), sin(turn)))).rgb;
   }
-  vec3 blurred = sum / 20.0;
+  vec3 blurred = sum / 24.0;
   float bright = dot(blurred, vec3(0.3, 0.5, 0.2));
   return mix(blurred, vec3(0.42, 0.055, 0.04) * (0.3 + 1.4 * bright), 0.62 * thick);
 }

@@ -4,7 +4,7 @@
  */
 import { PerspectiveCamera, Vector3, type Mesh } from "three";
 import type { Ray, ViewAxes } from "../drag";
-import { viewAxes } from "../orbit";
+import { FIELD_OF_VIEW_DEG, viewAxes } from "../orbit";
 import type { Page } from "../page";
 import type { Hello, SnapshotHeader, ToolInfo } from "../protocol";
 import type { OtherView, Scene3d } from "../scene3d";
@@ -30,9 +30,10 @@ const FURTHEST_EXPOSED_M = 0.3;
 /** Places of the circle whose distance sets the exposure. */
 const METERED: ReadonlyArray<readonly [number, number]> = [[0, 0], [0.4, 0], [-0.4, 0], [0, 0.4], [0, -0.4]];
 /** Pixels of a smeared picture to CSS pixels. */
-const SMEARED_RATIO = 0.3;
+const SMEARED_RATIO = 0.1;
 /** How much further away the picture from outside is taken than the laboratory view. */
 const FURTHER_OUT = 0.5;
+const HALF_DEGREE_RAD = Math.PI / 360;
 const DEEP_RED = 0x0d0303;
 const OUTSIDE = 0x141c23;
 
@@ -60,6 +61,7 @@ export class Theatre implements OtherView {
   /** Number of the endoscope; null for a scene without. */
   endoscope: number | null = null;
   smear = 0;
+  private metered_m = FURTHEST_EXPOSED_M;
   private outside = true;
   private eye: Eye | null = null;
   private circle: Circle = { x: 0, y: 0, radius: 1 };
@@ -93,7 +95,6 @@ export class Theatre implements OtherView {
     const isFirst = this.hello === null;
     this.hello = hello;
     this.eye = null;
-    this.smear = 0;
     this.choose(chosen);
     placeCavity(this.cavity, hello);
     const asked = isFirst && new URLSearchParams(window.location.search).get("view") === "theatre";
@@ -187,6 +188,10 @@ export class Theatre implements OtherView {
     return this.eye;
   }
 
+  get distance_m(): number {
+    return (this.metered_m * Math.tan(this.camera.fov * HALF_DEGREE_RAD)) / Math.tan(FIELD_OF_VIEW_DEG * HALF_DEGREE_RAD);
+  }
+
   // ---- drawing ----
 
   draw(): void {
@@ -215,12 +220,13 @@ export class Theatre implements OtherView {
     if (seen) lampPower.value = this.power();
   }
 
+  /** Power of the lamp for what is seen now, and its distance. */
   private power(): number {
     const { x, y, radius } = this.circle;
     const distances = METERED.map(([a, b]) => this.scene.pick(x + a * radius, y + b * radius)?.distance_m ?? FURTHEST_EXPOSED_M);
     const middle_m = distances.sort((a, b) => a - b)[Math.floor(METERED.length / 2)];
-    const distance_m = Math.min(FURTHEST_EXPOSED_M, Math.max(NEAREST_EXPOSED_M, middle_m));
-    return EXPOSURE * 0.1 ** 2 * (distance_m / 0.1) ** MADE_UP;
+    this.metered_m = Math.min(FURTHEST_EXPOSED_M, Math.max(NEAREST_EXPOSED_M, middle_m));
+    return EXPOSURE * 0.1 ** 2 * (this.metered_m / 0.1) ** MADE_UP;
   }
 
   private drawOutside(): void {

@@ -85,10 +85,10 @@ uniform vec2 centre;
 uniform float radius;
 uniform float distortion;
 uniform float smear;
-const vec3 SURROUND = vec3(0.0035, 0.0028, 0.0028);
 vec2 straight(vec2 p) {
   return 0.5 + 0.5 * p * (1.0 - distortion) / (1.0 - distortion * dot(p, p));
 }
+#ifdef SMEARED
 // How thick the film on the lens is, 0 to 1: streaks of a few waves.
 float film(vec2 p) {
   float a = sin(3.1 * p.x + 1.7 * p.y + 0.6) * sin(2.3 * p.y - 1.1 * p.x + 1.9);
@@ -107,15 +107,20 @@ vec3 smeared(vec2 p) {
   float bright = dot(blurred, vec3(0.3, 0.5, 0.2));
   return mix(blurred, vec3(0.42, 0.055, 0.04) * (0.3 + 1.4 * bright), 0.62 * thick);
 }
+#endif
 void main() {
   vec2 p = (gl_FragCoord.xy - centre) / radius;
   float r = length(p);
-  vec3 colour = SURROUND;
+  vec3 colour = vec3(0.0);
   if (r < 1.0) {
-    vec3 seen = smear > 0.0 ? smeared(p) : texture2D(picture, straight(p)).rgb;
+#ifdef SMEARED
+    vec3 seen = smeared(p);
+#else
+    vec3 seen = texture2D(picture, straight(p)).rgb;
+#endif
     float rim = smoothstep(0.35, 1.0, r);
     float edge = smoothstep(1.0, 1.0 - 3.0 / radius - 0.006, r);
-    colour = mix(SURROUND, seen * (1.0 - 0.5 * rim * rim), edge);
+    colour = edge * seen * (1.0 - 0.5 * rim * rim);
   }
   gl_FragColor = vec4(colour, 1.0);
   #include <tonemapping_fragment>
@@ -126,13 +131,16 @@ void main() {
 /** Draws a square picture through the lens onto the canvas. */
 export class LensPass {
   readonly target: WebGLRenderTarget;
-  private readonly material: ShaderMaterial;
+  private readonly clear: ShaderMaterial;
+  /** A condition in one shader would cost both ways where the processor draws. */
+  private readonly smeared: ShaderMaterial;
+  private readonly triangle: Mesh;
   private readonly scene = new Scene();
   private readonly camera = new OrthographicCamera();
 
   constructor(samples: number, distortion: number) {
     this.target = new WebGLRenderTarget(1, 1, { type: HalfFloatType, samples });
-    this.material = new ShaderMaterial({
+    const parameters = {
       vertexShader: VERTEX,
       fragmentShader: FRAGMENT,
       depthTest: false,
@@ -144,12 +152,14 @@ export class LensPass {
         distortion: { value: distortion },
         smear: { value: 0 },
       },
-    });
+    };
+    this.clear = new ShaderMaterial(parameters);
+    this.smeared = new ShaderMaterial({ ...parameters, defines: { SMEARED: "" } });
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(new Float32Array([-1, -1, 0, 3, -1, 0, -1, 3, 0]), 3));
-    const triangle = new Mesh(geometry, this.material);
-    triangle.frustumCulled = false;
-    this.scene.add(triangle);
+    this.triangle = new Mesh(geometry, this.clear);
+    this.triangle.frustumCulled = false;
+    this.scene.add(this.triangle);
   }
 
   /** So many pixels to a CSS pixel of the circle. */
@@ -161,15 +171,23 @@ export class LensPass {
   /** Draws the target's picture; `height` of the canvas in CSS pixels. */
   draw(renderer: WebGLRenderer, circle: Circle, height: number, smear: number): void {
     const ratio = renderer.getPixelRatio();
-    const { uniforms } = this.material;
+    this.triangle.material = smear > 0 ? this.smeared : this.clear;
+    const { uniforms } = this.clear;
     (uniforms.centre.value as Vector2).set(circle.x * ratio, (height - circle.y) * ratio);
     uniforms.radius.value = circle.radius * ratio;
     uniforms.smear.value = smear;
+    // Nothing is computed beside the circle.
+    renderer.setClearColor(0x000000, 1);
+    renderer.clear();
+    renderer.setScissorTest(true);
+    renderer.setScissor(circle.x - circle.radius, height - circle.y - circle.radius, 2 * circle.radius, 2 * circle.radius);
     renderer.render(this.scene, this.camera);
+    renderer.setScissorTest(false);
   }
 
   dispose(): void {
     this.target.dispose();
-    this.material.dispose();
+    this.clear.dispose();
+    this.smeared.dispose();
   }
 }

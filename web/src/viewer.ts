@@ -204,7 +204,6 @@ export class Viewer {
         this.hands.press(action);
         break;
       case "reset_simulation":
-        this.theatre.smear = 0;
         this.controls.cancel();
         this.hands.forget();
         this.table.level();

@@ -3,9 +3,10 @@ import { BackSide, Mesh, ShaderMaterial, SphereGeometry, Vector3, type Texture }
 import type { Hello } from "../protocol";
 import { LAMP, lampPower } from "./lamp";
 
-/** Of the walls to the organ's box: room between them for gas. */
-const ROOM = 1.45;
-const LEAST_ROOM_M = 0.05;
+/** An ellipsoid through the corners of a box is so much larger than the box. */
+const THROUGH_CORNERS = Math.sqrt(3);
+/** Between the box and the walls, for gas [m]. */
+const ROOM_M = 0.02;
 
 // Colour and folds in the corners, which are few: it fills the picture where the organ does not.
 const VERTEX = /* glsl */ `
@@ -68,8 +69,7 @@ export function placeCavity(cavity: Mesh, { bounds, tools }: Hello): void {
     min.min(new Vector3(...home_tip_m));
     max.max(new Vector3(...home_tip_m));
   }
-  const half = max.clone().sub(min).multiplyScalar(0.5 * ROOM);
+  const half = max.clone().sub(min).multiplyScalar(0.5 * THROUGH_CORNERS);
   cavity.position.copy(min.add(max).multiplyScalar(0.5));
-  // An ellipsoid through the corners of a box is the square root of three as large as the box.
-  cavity.scale.copy(half.addScalar(LEAST_ROOM_M));
+  cavity.scale.copy(half.addScalar(ROOM_M));
 }

@@ -25,7 +25,7 @@ const RIM = 10;
 const EXPOSURE = 3.1;
 /** The camera makes up for a part of what distance takes, as cameras of endoscopes do: exponent of the distance, 2 for all of it. */
 const MADE_UP = 1.5;
-const NEAREST_EXPOSED_M = 0.012;
+const NEAREST_EXPOSED_M = 0.005;
 const FURTHEST_EXPOSED_M = 0.3;
 /** Places of the circle whose distance sets the exposure. */
 const METERED: ReadonlyArray<readonly [number, number]> = [[0, 0], [0.4, 0], [-0.4, 0], [0, 0.4], [0, -0.4]];

@@ -321,6 +321,7 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glisson::tool::{Optics, ToolKind};
     use proptest::prelude::*;
 
     fn command(text: &str) -> Result<Command, String> {
@@ -373,6 +374,16 @@ mod tests {
                 prop_assert!(!reason.is_empty());
             }
         }
+    }
+
+    #[test]
+    fn the_lens_of_an_endoscope_is_described() {
+        let probe = Tool::probe("camera", 5e-3, ToolInput::at(DVec3::ZERO, DVec3::NEG_Y));
+        assert!(described(&probe)["optics"].is_null());
+        let kind = ToolKind::endoscope(Optics { view_angle_rad: 0.5, field_of_view_rad: 1.25 });
+        let described = described(&Tool { kind, ..probe });
+        assert_eq!(described["kind"], "endoscope");
+        assert_eq!(described["optics"], json!({ "view_angle_rad": 0.5, "field_of_view_rad": 1.25 }));
     }
 
     #[test]

@@ -191,6 +191,8 @@ export class FakeSimulator {
           shaft_radius_m: 0.0025,
           shaft_length_m: 0.32,
           jaws: null,
+          optics: null,
+          trocar_m: null,
           home_tip_m: vec3(HOME_TIP_M),
           home_shaft: vec3(HOME_SHAFT),
           home_jaw: 0,

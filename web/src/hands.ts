@@ -10,6 +10,8 @@ interface Hand {
   readonly homeJaw: number;
   jaw: number;
   trigger: number;
+  /** Angle about the shaft that was asked for [rad]; null until then: it stays as the server has it. */
+  roll_rad: number | null;
   /** Jaws or trigger changed since the last message. */
   unsent: boolean;
 }
@@ -19,6 +21,7 @@ const newHand = (homeJaw: number): Hand => ({
   homeJaw,
   jaw: homeJaw,
   trigger: 0,
+  roll_rad: null,
   unsent: false,
 });
 
@@ -38,6 +41,10 @@ export class Hands {
     return this.hands[this.chosen].driver;
   }
 
+  driverOf(tool: number): ToolDriver {
+    return this.hands[tool].driver;
+  }
+
   get settled(): boolean {
     return this.hands.every(({ driver }) => driver.settled);
   }
@@ -55,6 +62,12 @@ export class Hands {
     hand.unsent = true;
   }
 
+  /** Turns an instrument about its shaft; `shown_rad` is how it is turned as shown. */
+  roll(tool: number, by_rad: number, shown_rad: number): void {
+    this.hands[tool].roll_rad = (this.hands[tool].roll_rad ?? shown_rad) + by_rad;
+    this.hands[tool].unsent = true;
+  }
+
   /** Takes another instrument; false if there is none of that number. */
   choose(tool: number, messages: Messages): boolean {
     const { length } = this.hands;
@@ -63,11 +76,11 @@ export class Hands {
     return tool < length;
   }
 
-  /** What the server is told about an instrument that should be at `pose`; its roll stays as it is. */
+  /** What the server is told about an instrument that should be at `pose`. */
   message(tool: number, pose: ToolPose, header: SnapshotHeader | null): ClientMessage {
-    const { jaw, trigger } = this.hands[tool];
+    const { jaw, trigger, roll_rad } = this.hands[tool];
     const [tip_m, shaft] = [pose.tip_m, pose.shaft].map((v): Vec3 => [v.x, v.y, v.z]);
-    return { type: "tool", tool, tip_m, shaft, roll_rad: header?.tools[tool]?.roll_rad ?? 0, jaw, trigger };
+    return { type: "tool", tool, tip_m, shaft, roll_rad: roll_rad ?? header?.tools[tool]?.roll_rad ?? 0, jaw, trigger };
   }
 
   /** One frame of `dt_s`: the poses to send. `shown` is where an instrument is that was not moved yet. */

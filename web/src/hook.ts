@@ -10,6 +10,7 @@ import type { Panel, PanelValues } from "./panel";
 import type { Profile } from "./profiler";
 import type { Hello, HandHeader } from "./protocol";
 import type { Scene3d } from "./scene3d";
+import type { TheatreReport } from "./theatre/view";
 import type { ToolDriver } from "./tool_driver";
 
 /** Counts of what came and went. */
@@ -59,6 +60,7 @@ export interface ViewerHook {
     readonly distance_m: number;
     readonly target_m: readonly [number, number, number];
   };
+  readonly theatre: TheatreReport;
   readonly connection: ConnectionState;
   readonly messages: readonly string[];
   readonly counters: {
@@ -96,6 +98,7 @@ export interface ViewerParts {
   readonly hello: Hello | null;
   readonly header: HandHeader | null;
   readonly pickedVertex: number | null;
+  readonly theatre: { report(): TheatreReport };
   readonly state: ConnectionState;
   readonly shown: Omit<ViewerHook["view"], "style" | "help" | "azimuth_rad" | "elevation_rad" | "distance_m" | "target_m"> & {
     readonly style: number;
@@ -147,6 +150,9 @@ export function viewerHook(parts: () => ViewerParts): ViewerHook {
       const { azimuth_rad, elevation_rad, distance_m, target_m } = scene.orbit;
       const camera = { azimuth_rad, elevation_rad, distance_m, target_m: triple(target_m) };
       return { ...shown, ...camera, style: SURFACE_STYLES[shown.style], help: help.open };
+    },
+    get theatre() {
+      return parts().theatre.report();
     },
     get connection() {
       return parts().state;

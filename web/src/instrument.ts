@@ -41,6 +41,8 @@ function revolved(profile: ReadonlyArray<readonly [number, number]>): BufferGeom
 
 export class Instrument {
   readonly group = new Group();
+  /** What is drawn to explain: the force and the contact. */
+  readonly overlays = new Group();
   private readonly probe = new Group();
   private readonly jaws: Group[] = [];
   private readonly arrow = new Group();
@@ -49,6 +51,8 @@ export class Instrument {
   private readonly contactMark: Mesh;
   private readonly tipRadius_m: number;
   private readonly tip_m = new Vector3();
+  /** Turn about the shaft, as shown [rad]. */
+  roll_rad = 0;
   private showsForces = true;
   private showsContactMark = true;
   /** Force at the hand that holds it as a device [N]; the simulation's where none does. */
@@ -67,7 +71,8 @@ export class Instrument {
     const grip = solidMaterial({ colour: 0x20262c, metal: 0, softness: 0.3 });
     // The neck leaves the sphere where its radius has come down to the shaft's.
     const neck = tool.jaws?.length_m ?? Math.sqrt(Math.max(tip * tip - shaft * shaft, 0));
-    if (tool.jaws === null) this.probe.add(new Mesh(new SphereGeometry(tip, 40, 28), polished));
+    const glass = solidMaterial({ colour: 0x0b1620, metal: 0, softness: 0.04 });
+    if (tool.jaws === null) this.probe.add(new Mesh(new SphereGeometry(tip, 40, 28), tool.optics === null ? polished : glass));
     else this.addJaws(tool.jaws, polished);
     this.probe.add(new Mesh(new CylinderGeometry(shaft, shaft, length - neck, 40, 1, true)
       .rotateX(Math.PI / 2)
@@ -88,7 +93,8 @@ export class Instrument {
     this.arrow.add(this.arrowShaft, this.arrowHead);
     const blue = solidMaterial({ colour: 0x58d0ff, metal: 0, softness: 0.4, glow: 0.9 });
     this.contactMark = new Mesh(new SphereGeometry(1, 20, 14), blue);
-    this.group.add(this.probe, this.arrow, this.contactMark);
+    this.overlays.add(this.arrow, this.contactMark);
+    this.group.add(this.probe, this.overlays);
     for (const part of [this.arrow, this.contactMark]) part.visible = false;
     this.pose(tool.home_tip_m, tool.home_shaft, 0, [0, 0, 0]);
     this.openJaws(tool.home_jaw);
@@ -120,6 +126,7 @@ export class Instrument {
   /** Axes of the tool's frame: those of a shaft to the front (x left, y head), by the shortest turn, rolled. */
   private pose(tip_m: Vec3, shaft: Vec3, roll_rad: number, furtherOut_m: Vec3): void {
     this.tip_m.set(...tip_m);
+    this.roll_rad = roll_rad;
     this.probe.position.copy(this.tip_m).add(new Vector3(...furtherOut_m));
     const turn = new Quaternion().setFromUnitVectors(FRONT, directed(shaft));
     const roll = new Quaternion().setFromAxisAngle(Z, roll_rad);

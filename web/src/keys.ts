@@ -13,6 +13,9 @@ export type Action =
   | "forces"
   | "fixed_nodes"
   | "bodies"
+  | "theatre"
+  | "wipe"
+  | "outside"
   | "screenshot"
   | "profiler"
   | "help"
@@ -30,6 +33,8 @@ export type Action =
   | "undo"
   | "jaws"
   | "trigger"
+  | "roll_left"
+  | "roll_right"
   | "tool_1"
   | "tool_2"
   | "tool_3"
@@ -83,6 +88,9 @@ export const BINDINGS: readonly Binding[] = [
   bind("View", "forces", "F", "force arrow", plain("f")),
   bind("View", "fixed_nodes", "T", "fixed nodes", plain("t")),
   bind("View", "bodies", "Y", "hide one body more (of several); after the last all are shown", plain("y")),
+  bind("View", "theatre", "N", "through the endoscope, or the organ from outside", plain("n")),
+  bind("View", "wipe", "D", "wipe the endoscope's lens", plain("d")),
+  bind("View", "outside", "Shift N", "picture from outside, beside that of the endoscope", [{ key: "n", shift: true }]),
   bind("Instrument", "tool_place", "G", "touch the organ at the middle of the view", plain("g")),
   bind("Instrument", "tool_left", "J", "left by 1 mm (Shift: 5 mm)", both("j"), true),
   bind("Instrument", "tool_right", "L", "right by 1 mm", both("l"), true),
@@ -96,6 +104,8 @@ export const BINDINGS: readonly Binding[] = [
   bind("Instrument", "undo", "Z", "take the last cut back", plain("z"), true),
   bind("Instrument", "jaws", "B", "close or open the jaws", plain("b")),
   bind("Instrument", "trigger", "V", "current or blade on or off", plain("v")),
+  bind("Instrument", "roll_left", "−", "roll by 5° to the left, as seen from the handle", plain("-"), true),
+  bind("Instrument", "roll_right", "+", "to the right", [...both("+"), { key: "=", shift: false }], true),
   bind("Instrument", "tool_1", "1", "take the first instrument (of several)", plain("1")),
   bind("Instrument", "tool_2", "2", "the second", plain("2")),
   bind("Instrument", "tool_3", "3", "the third", plain("3")),
@@ -135,6 +145,15 @@ export function toolNumber(action: Action): number | null {
 /** One press of a movement key moves the instrument by this much [m]. */
 export const TOOL_STEP_M = 0.001;
 export const TOOL_STEP_WITH_SHIFT_M = 0.005;
+
+/** One press of a roll key turns the instrument about its shaft by this much [rad]. */
+const ROLL_STEP_RAD = (5 * Math.PI) / 180;
+
+/** Angle about the shaft of a roll key [rad], or null for other actions; the shaft's direction is towards the handle. */
+export function rollOf(action: Action): number | null {
+  if (action === "roll_left") return ROLL_STEP_RAD;
+  return action === "roll_right" ? -ROLL_STEP_RAD : null;
+}
 
 /** Direction of a movement key on the screen (right, up, into), or null for other actions. */
 export function toolDirection(action: Action): readonly [number, number, number] | null {

@@ -6,8 +6,12 @@
  * it, broad), a pale sheen at grazing angles (Glisson's capsule) and generated noise fixed to the rest shape.
  * Fresnel: Schlick, "An inexpensive BRDF model for physically-based rendering", Computer Graphics Forum 13(3), 1994,
  * doi 10.1111/1467-8659.1330233. The looks are chosen by eye; no optical measurement stands behind them.
+ *
+ * Through an endoscope there is no studio: the lamp beside its lens, whose light falls off with the square of the distance, lights
+ * everything (`theatre/lamp.ts`).
  */
 import { Color, ShaderMaterial, Vector3, type Texture } from "three";
+import { LAMP, withLampTwin } from "./theatre/lamp";
 
 type Triple = readonly [number, number, number];
 const glsl = (v: Vector3): string => `vec3(${v.toArray().map((x) => x.toFixed(5)).join(", ")})`;
@@ -95,6 +99,9 @@ varying float vTone;
 varying float vInside;
 varying vec4 vPaint;
 ${STUDIO}
+#ifdef IN_LAMP
+${LAMP}
+#endif
 // Light that the instrument's shaft takes away (a capsule from the tip along the shaft).
 float shade(vec3 p, vec3 n) {
   vec3 q = p - toolTip;
@@ -137,6 +144,9 @@ void main() {
   albedo = mix(albedo, vec3(0.23, 0.030, 0.022) * (0.55 + 0.9 * detail.a), raw);
   float open = shade(vWorld, smoothNormal);
 
+#ifdef IN_LAMP
+  vec3 colour = open * wetInLamp(albedo, n, broad, v, (viewMatrix * vec4(vWorld, 1.0)).xyz, mix(0.75, 1.15, detail.a));
+#else
   vec3 light = studioDiffuse(broad, vec3(0.42, 0.20, 0.17));
   vec3 colour = albedo * light * open;
   // Light that comes back through the thin rim of the tissue.
@@ -147,6 +157,7 @@ void main() {
   colour += film * schlick(0.030, 0.6, clamp(dot(n, v), 0.0, 1.0)) * mix(0.75, 1.15, detail.a) * open;
   colour += (1.0 - 0.8 * raw) * capsule * schlick(0.022, 0.35, facing) * vec3(0.85, 0.88, 0.95) * 0.45 * open;
   colour += vec3(0.34, 0.37, 0.43) * rim * rim * rim * rim * 0.16 * clamp(0.35 + 0.65 * broad.y, 0.0, 1.0) * open;
+#endif
 
   gl_FragColor = vec4(colour, 1.0);
   #include <tonemapping_fragment>
@@ -177,6 +188,9 @@ varying vec3 vViewNormal;
 varying vec3 vViewPosition;
 varying vec3 vLocal;
 ${STUDIO}
+#ifdef IN_LAMP
+${LAMP}
+#endif
 void main() {
   vec3 n = normalize(vViewNormal);
   vec3 v = normalize(-vViewPosition);
@@ -193,18 +207,23 @@ void main() {
     tint *= 1.0 - 0.82 * mark;
     soft += 0.25 * mark;
   }
+#ifdef IN_LAMP
+  vec3 lit = solidInLamp(tint, metal, soft, n, v, vViewPosition);
+#else
   vec3 mirror = studioReflection(reflect(-v, n), soft);
   vec3 diffuse = tint * studioDiffuse(n, vec3(0.1));
   vec3 polished = mirror * mix(tint, vec3(1.0), schlick(0.0, 0.5, facing)) + 0.16 * diffuse;
   vec3 matte = diffuse + mirror * schlick(0.04, 1.0, facing);
-  gl_FragColor = vec4(mix(matte, polished, metal) + glow * tint, 1.0);
+  vec3 lit = mix(matte, polished, metal);
+#endif
+  gl_FragColor = vec4(lit + glow * tint, 1.0);
   #include <tonemapping_fragment>
   #include <colorspace_fragment>
 }
 `;
 
 export function organMaterial(tissue: Texture): ShaderMaterial {
-  return new ShaderMaterial({
+  return withLampTwin({
     vertexShader: ORGAN_VERTEX,
     fragmentShader: ORGAN_FRAGMENT,
     uniforms: {
@@ -233,7 +252,7 @@ export interface SolidLook {
 }
 
 export function solidMaterial(look: SolidLook): ShaderMaterial {
-  return new ShaderMaterial({
+  return withLampTwin({
     vertexShader: SOLID_VERTEX,
     fragmentShader: SOLID_FRAGMENT,
     uniforms: {

@@ -16,6 +16,7 @@ const MOUSE: ReadonlyArray<readonly [string, string]> = [
   ["Left drag beside the organ", "turn the view (Alt + left or right button: anywhere)"],
   ["Shift + left, or middle", "move the view"],
   ["Wheel", "zoom"],
+  ["Through the endoscope", "what turns the view pivots the endoscope about its trocar, what moves it rolls it; the wheel pushes it in. With the endoscope in the hand, left drag does so anywhere"],
 ];
 
 export class Help {
@@ -133,6 +134,7 @@ const BUTTONS: ReadonlyArray<readonly ButtonSpec[]> = [
     button("contacts", "Contacts", "C"),
     button("forces", "Force", "F"),
   ],
+  [button("theatre", "Endoscope", "N"), button("wipe", "Wipe lens", "D"), button("outside", "Outside", "⇧N")],
   [button("cut", "Cut", "X")],
   [button("screenshot", "Picture", "S"), button("profiler", "Times", "P"), button("help", "Help", "H")],
 ];
@@ -144,6 +146,14 @@ export interface ShownParts {
   readonly forces: boolean;
   readonly fixedNodes: boolean;
   readonly profiler: boolean;
+}
+
+/** What of the theatre view is switched on. */
+export interface ShownTheatre {
+  /** Number of the endoscope; null for a scene without. */
+  readonly endoscope: number | null;
+  readonly on: boolean;
+  readonly showsOutside: boolean;
 }
 
 export class Toolbar {
@@ -170,7 +180,7 @@ export class Toolbar {
   }
 
   /** Shows all switches as on or off. */
-  show(paused: boolean, help: boolean, shown: ShownParts): void {
+  show(paused: boolean, help: boolean, shown: ShownParts, theatre: ShownTheatre): void {
     this.set("pause", paused, paused ? "Go on" : "Pause");
     this.set("wireframe", shown.style !== 0);
     this.set("contacts", shown.contacts);
@@ -178,6 +188,17 @@ export class Toolbar {
     this.set("fixed_nodes", shown.fixedNodes);
     this.set("profiler", shown.profiler);
     this.set("help", help);
+    this.set("theatre", theatre.on);
+    this.set("outside", theatre.showsOutside);
+    this.offer("theatre", theatre.endoscope !== null);
+    for (const action of ["wipe", "outside"] as const) this.offer(action, theatre.on);
+  }
+
+  private offer(action: Action, offered: boolean): void {
+    const node = this.buttons.get(action);
+    if (node !== undefined && node.hidden === offered) node.hidden = !offered;
+    const group = node?.parentElement;
+    if (group != null) group.hidden = Array.from(group.children).every((child) => (child as HTMLElement).hidden);
   }
 
   private set(action: Action, on: boolean, label?: string): void {

@@ -13,6 +13,7 @@ export interface Page {
   readonly contacts: HTMLElement;
   readonly hint: HTMLElement;
   readonly task: HTMLElement;
+  readonly outside: HTMLElement;
 }
 
 function part<T extends HTMLElement>(id: string): T {
@@ -36,5 +37,6 @@ export function findPage(): Page {
     contacts: part("contacts"),
     hint: part("hint"),
     task: part("task"),
+    outside: part("outside"),
   };
 }

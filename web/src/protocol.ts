@@ -12,7 +12,8 @@ import { contactPointsBytes, decodeContactPoints, type ContactPoints } from "./c
 import { decodeThreads, threadsBytes, type Thread } from "./threads";
 import { decodeFeel, type Feel } from "./feel";
 import { decodeRole, decodeTiming, type Role, type Timing } from "./timing";
-import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Fields, type Vec3 } from "./fields";
+import { MOST_TOOLS, toolsAt, type JawsInfo, type OpticsInfo, type ToolInfo } from "./tool_info";
+import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Vec3 } from "./fields";
 
 export const PROTOCOL_VERSION = 10;
 /** Bytes `GLSN` read as a little-endian u32. */
@@ -28,10 +29,9 @@ export const FLAG_THREADS = 16;
 export const TOPOLOGY_HEADER_BYTES = 24;
 export const SNAPSHOT_HEADER_BYTES = 64;
 export const TOOL_BYTES = 152;
-/** Instruments of a scene at most. */
-export const MOST_TOOLS = 4;
 
-export type { BodyInfo, Vec3 };
+export { MOST_TOOLS };
+export type { BodyInfo, JawsInfo, OpticsInfo, ToolInfo, Vec3 };
 
 export { ProtocolError };
 
@@ -44,27 +44,6 @@ export interface SceneInfo {
   readonly n_nodes: number;
   readonly n_tetrahedra: number;
   readonly n_vessels: number;
-}
-
-export interface JawsInfo {
-  readonly length_m: number;
-  readonly width_m: number;
-  readonly greatest_opening_rad: number;
-}
-
-export interface ToolInfo {
-  readonly name: string;
-  /** probe, grasper, scissors, scalpel, hook, cautery or clipper. */
-  readonly kind: string;
-  readonly tip_radius_m: number;
-  readonly shaft_radius_m: number;
-  readonly shaft_length_m: number;
-  /** Two jaws; null for a tool without. */
-  readonly jaws: JawsInfo | null;
-  readonly home_tip_m: Vec3;
-  readonly home_shaft: Vec3;
-  /** How far the jaws are open at home: 0 closed, 1 wide open. */
-  readonly home_jaw: number;
 }
 
 export interface Hello {
@@ -176,33 +155,6 @@ export function encodeClientMessage(message: ClientMessage): string {
 }
 
 // ---- text ----
-
-function toolsAt(fields: Fields): ToolInfo[] {
-  const value = fields.tools;
-  if (!Array.isArray(value) || value.length < 1 || value.length > MOST_TOOLS) {
-    fail(`hello.tools must be an array of 1 to ${MOST_TOOLS} instruments`);
-  }
-  return value.map((item: unknown, i) => {
-    const place = `hello.tools[${i}]`;
-    const tool = fieldsOf(item, place);
-    const jaws = tool.jaws === null ? null : fieldsOf(tool.jaws, `${place}.jaws`);
-    return {
-      name: stringAt(tool, "name", place),
-      kind: stringAt(tool, "kind", place),
-      tip_radius_m: numberAt(tool, "tip_radius_m", place, 0),
-      shaft_radius_m: numberAt(tool, "shaft_radius_m", place, 0),
-      shaft_length_m: numberAt(tool, "shaft_length_m", place, 0),
-      jaws: jaws && {
-        length_m: numberAt(jaws, "length_m", `${place}.jaws`, 0),
-        width_m: numberAt(jaws, "width_m", `${place}.jaws`, 0),
-        greatest_opening_rad: numberAt(jaws, "greatest_opening_rad", `${place}.jaws`, 0),
-      },
-      home_tip_m: vec3At(tool, "home_tip_m", place),
-      home_shaft: vec3At(tool, "home_shaft", place),
-      home_jaw: numberAt(tool, "home_jaw", place, 0),
-    };
-  });
-}
 
 /** Decodes a text message of the server. */
 export function decodeText(text: string): Hello | ServerNotice | Role | Timing | Feel | TaskStatus {

@@ -11,7 +11,7 @@ import {
 } from "three";
 import { BleedingMarks } from "./bleeding";
 import { ContactMarks } from "./contact_marks";
-import type { PushStart, Ray, ToolPose } from "./drag";
+import type { PushStart, Ray, ToolPose, ViewAxes } from "./drag";
 import type { Feel } from "./feel";
 import { pickTriangle, type Pick } from "./geometry";
 import { Instrument } from "./instrument";
@@ -22,6 +22,19 @@ import { cameraPosition, FIELD_OF_VIEW_DEG, orbitThatShows, viewAxes, type Orbit
 import { Organ, type SurfaceStyle } from "./organ";
 import { REST_AFTER_MS, REST_RATIO } from "./resolution";
 import type { Hello, Snapshot, SnapshotHeader, Topology } from "./protocol";
+
+/** Another view than the orbiting one from outside. Places on the canvas in CSS pixels; null where there is none yet. */
+export interface OtherView {
+  /** Whether a place of the canvas shows the scene. */
+  shows(x: number, y: number): boolean;
+  ray(x: number, y: number): Ray | null;
+  project(point_m: Vector3): [number, number] | null;
+  middle(): [number, number];
+  axes(): ViewAxes | null;
+  /** From where the view from outside would show things as large. */
+  readonly distance_m: number;
+  draw(): void;
+}
 
 export interface OrganPick extends Pick {
   readonly organ: number;
@@ -51,10 +64,14 @@ export class Scene3d {
   /** Number of the instrument in the hand. */
   chosen = 0;
   orbit: Orbit;
+  /** Drawn in place of the view from outside. */
+  other: OtherView | null = null;
   readonly contactMarks = new ContactMarks();
-  private readonly scene = new Scene();
+  readonly scene = new Scene();
   private readonly bleeding = new BleedingMarks();
   private readonly threads = new ThreadMarks();
+  /** Noise of what is made up of tissue. */
+  readonly tissue = tissueTexture();
   private readonly material: ShaderMaterial;
   private hello: Hello | null = null;
   private style: SurfaceStyle = "surface";
@@ -77,7 +94,7 @@ export class Scene3d {
     this.renderer.toneMapping = ACESFilmicToneMapping;
     this.renderer.toneMappingExposure = 1.08;
     this.renderer.setClearColor(0x000000, 0);
-    this.material = organMaterial(tissueTexture());
+    this.material = organMaterial(this.tissue);
     this.scene.add(this.bleeding.group, this.contactMarks.group, this.threads.group);
     this.camera.up.set(0, 0, 1);
     this.orbit = orbitThatShows(new Vector3(-0.1, -0.1, -0.1), new Vector3(0.1, 0.1, 0.1), 1);
@@ -106,7 +123,7 @@ export class Scene3d {
 
   /** Middle of the free part of the canvas [CSS pixels]. */
   middle(): [number, number] {
-    return [(this.width + this.covered_px) / 2, this.height / 2];
+    return this.other?.middle() ?? [(this.width + this.covered_px) / 2, this.height / 2];
   }
 
   setOrbit(orbit: Orbit): void {
@@ -205,13 +222,15 @@ export class Scene3d {
     const info = this.hello?.tools[tool];
     if (info === undefined) return;
     this.chosen = tool;
-    this.material.uniforms.toolRadius.value = Math.max(info.shaft_radius_m, info.tip_radius_m);
     this.material.uniforms.toolLength.value = info.shaft_length_m;
     this.shadeByTool();
   }
 
-  private shadeByTool(): void {
+  /** The organ lies in the shade of the instrument in the hand, unless `isBright`. */
+  shadeByTool(isBright = false): void {
     if (this.instrument === null) return;
+    const info = this.hello?.tools[this.chosen];
+    this.material.uniforms.toolRadius.value = isBright || info === undefined ? 0 : Math.max(info.shaft_radius_m, info.tip_radius_m);
     (this.material.uniforms.toolTip.value as Vector3).copy(this.instrument.tip());
     (this.material.uniforms.toolShaft.value as Vector3).copy(this.instrument.shaft());
   }
@@ -234,6 +253,8 @@ export class Scene3d {
 
   /** The ray into the scene through a point of the canvas [CSS pixels from its upper left corner]. */
   ray(x: number, y: number): Ray {
+    const ray = this.other?.ray(x, y);
+    if (ray != null) return ray;
     const caster = new Raycaster();
     caster.setFromCamera(new Vector2((2 * x) / this.width - 1, 1 - (2 * y) / this.height), this.camera);
     return { origin: caster.ray.origin.clone(), direction: caster.ray.direction.clone() };
@@ -241,6 +262,7 @@ export class Scene3d {
 
   /** The organ's first front triangle under a point of the canvas. */
   pick(x: number, y: number): OrganPick | null {
+    if (this.other?.shows(x, y) === false) return null;
     const { origin, direction } = this.ray(x, y);
     let best: OrganPick | null = null;
     for (const [organ, { positions_m, triangles }] of this.organs) {
@@ -264,14 +286,26 @@ export class Scene3d {
     return instrument === undefined ? null : { tip_m: instrument.tip(), shaft: instrument.shaft() };
   }
 
+  /** How an instrument is turned about its shaft, as shown [rad]. */
+  roll_rad(tool: number): number {
+    return this.instruments[tool]?.roll_rad ?? 0;
+  }
+
   /** Where a point of the scene is on the canvas [CSS pixels from its upper left corner]. */
   project(point_m: Vector3): [number, number] {
+    const seen = this.other?.project(point_m);
+    if (seen != null) return seen;
     const p = point_m.clone().project(this.camera);
     return [((p.x + 1) / 2) * this.width, ((1 - p.y) / 2) * this.height];
   }
 
-  axes(): ReturnType<typeof viewAxes> {
-    return viewAxes(this.orbit);
+  /** From where the view from outside shows things as large as they are shown [m]. */
+  get distance_m(): number {
+    return this.other?.distance_m ?? this.orbit.distance_m;
+  }
+
+  axes(): ViewAxes {
+    return this.other?.axes() ?? viewAxes(this.orbit);
   }
 
   /** Draws; when the processor draws, with `softwareRatio` pixels to a CSS pixel. */
@@ -280,7 +314,8 @@ export class Scene3d {
       this.renderer.setPixelRatio(softwareRatio);
       this.renderer.setSize(this.width, this.height, false);
     }
-    this.renderer.render(this.scene, this.camera);
+    if (this.other === null) this.renderer.render(this.scene, this.camera);
+    else this.other.draw();
   }
 
   /** When the processor draws: a finer picture once nothing has changed for a while. */

@@ -25,8 +25,8 @@ const PLACE_DEPTH_M = 0.0005;
 type Mode =
   | { readonly kind: "idle" }
   | { readonly kind: "push"; readonly push: Push }
-  /** Walks to `goal_m` and stays there; `slow` while it touches. */
-  | { readonly kind: "glide"; readonly goal_m: Vector3; readonly slow: boolean };
+  /** Walks to `goal_m` and stays there; `slow` while it touches; its shaft goes through the pivot, if there is one. */
+  | { readonly kind: "glide"; readonly goal_m: Vector3; readonly slow: boolean; readonly pivot_m?: Vector3 };
 
 export class ToolDriver {
   private mode: Mode = { kind: "idle" };
@@ -99,6 +99,18 @@ export class ToolDriver {
     this.mode = { kind: "glide", goal_m: goal.clone().add(offset_m), slow: true };
   }
 
+  /** Where the tip is on its way to; null until it is held. */
+  get goal_m(): Vector3 | null {
+    return this.mode.kind === "glide" ? this.mode.goal_m : (this.asked?.tip_m ?? null);
+  }
+
+  /** The tip goes to `goal_m` as fast as a hand, its shaft through `pivot_m`; `current` is where the instrument is shown. */
+  lead(goal_m: Vector3, pivot_m: Vector3, current: ToolPose): void {
+    if (this.mode.kind === "push") return;
+    if (this.asked === null) this.ask(current);
+    this.mode = { kind: "glide", goal_m, slow: false, pivot_m };
+  }
+
   /** Forgets everything: the instrument is where the server says. */
   forget(): void {
     this.mode = { kind: "idle" };
@@ -122,11 +134,13 @@ export class ToolDriver {
     if (this.mode.kind === "push") {
       this.asked = this.mode.push.advance(dt_s);
     } else if (this.mode.kind === "glide") {
-      const { slow, goal_m } = this.mode;
+      const { slow, goal_m, pivot_m } = this.mode;
       const stride = slow
         ? Math.min(PRESS_STRIDE_M, PRESS_SPEED_M_PER_S * dt_s)
         : Math.min(FOLLOW_STRIDE_M, FOLLOW_SPEED_M_PER_S * dt_s);
-      this.asked = { tip_m: moveTowards(this.asked.tip_m, goal_m, stride), shaft: this.asked.shaft };
+      const tip_m = moveTowards(this.asked.tip_m, goal_m, stride);
+      const shaft = pivot_m === undefined ? this.asked.shaft : pivot_m.clone().sub(tip_m).normalize();
+      this.asked = { tip_m, shaft };
     }
     return this.asked;
   }

@@ -1,13 +1,12 @@
 /** The viewer: joins connection, picture, panel, pointer and keys. One frame does all its work, and only on demand. */
-import { Vector3 } from "three";
 import { Connection, messageOf, socketAddress, type ConnectionState } from "./connection";
 import { Contacts } from "./contacts";
 import { Controls } from "./controls";
-import type { PushStart } from "./drag";
+import { HandMotion } from "./hand_motion";
 import { Hands } from "./hands";
 import { newCounters, type ViewerParts } from "./hook";
-import { actionOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
-import { panned, turned, zoomed, type Orbit } from "./orbit";
+import { actionOf, rollOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
+import type { Orbit } from "./orbit";
 import { drawOrientation } from "./orientation";
 import { SURFACE_STYLES } from "./organ";
 import { Help, Messages, savePicture, showConnection, Toolbar } from "./overlays";
@@ -23,10 +22,15 @@ import { Resolution } from "./resolution";
 import { Scene3d } from "./scene3d";
 import { Table } from "./table";
 import { TaskPanel } from "./task";
+import { Theatre } from "./theatre/view";
 import type { ToolDriver } from "./tool_driver";
+
+const NO_ENDOSCOPE = "This scene has no endoscope: give it a [[tool]] with kind = \"endoscope\".";
 
 export class Viewer {
   private readonly scene: Scene3d;
+  private readonly theatre: Theatre;
+  private readonly motion: HandMotion;
   private readonly panel: Panel;
   private readonly messages: Messages;
   private readonly help: Help;
@@ -45,7 +49,6 @@ export class Viewer {
   private readonly news = new LoopNews(() => this.showPanel(), (feel) => this.scene.feel(feel));
   private waiting = new Map<number, Snapshot>();
   private header: HandHeader | null = null;
-  private pickedVertex: number | null = null;
   private state: ConnectionState = "connecting";
   /** The camera or the page's size changed. */
   private viewChanged = true;
@@ -66,29 +69,18 @@ export class Viewer {
     this.contacts = new Contacts(page.contacts, this.scene.contactMarks);
     this.task = new TaskPanel(page.task);
     this.toolbar = new Toolbar(page.toolbar, (action) => this.run(action, false));
-    this.controls = new Controls(page.scene, {
-      isOnOrgan: (x, y) => this.scene.pick(x, y) !== null,
-      pushBegin: (x, y) => this.beginPush(x, y),
-      pushMove: (x, y) => {
-        this.tool.follow(this.scene.ray(x, y));
-        this.invalidate();
-      },
-      pushEnd: () => {
-        this.tool.retract();
-        this.invalidate();
-      },
-      turn: (dx, dy) => this.setOrbit(turned(this.scene.orbit, dx, dy, this.scene.height)),
-      move: (dx, dy) => this.setOrbit(panned(this.scene.orbit, dx, dy, this.scene.height)),
-      wheel: (notches) => {
-        if (this.tool.wheel(notches)) this.invalidate();
-        else this.setOrbit(zoomed(this.scene.orbit, notches));
-      },
+    this.theatre = new Theatre(this.scene, page);
+    this.motion = new HandMotion(this.scene, this.hands, this.theatre, page, this.messages, {
+      moved: () => this.invalidate(),
+      viewed: (orbit) => this.setOrbit(orbit),
     });
+    this.controls = new Controls(page.scene, this.motion);
     window.addEventListener("keydown", (event) => this.key(event));
-    new GamepadInput((motion_m) => this.nudge(motion_m, 1), (action) => this.run(action, false), () => this.news.rumble(this.hands.chosen));
+    new GamepadInput((motion_m) => this.motion.nudge(motion_m, 1), (action) => this.run(action, false), () => this.news.rumble(this.hands.chosen));
     window.addEventListener("error", (event) => this.messages.error(`Error in the page: ${event.message}`));
     window.addEventListener("unhandledrejection", (event) => this.messages.error(`Error in the page: ${event.reason}`));
-    new ResizeObserver(() => this.resize()).observe(page.scene);
+    const sizes = new ResizeObserver(() => this.resize());
+    for (const part of [page.scene, page.toolbar]) sizes.observe(part);
     this.resize();
     page.scene.addEventListener("webglcontextlost", () => this.messages.error("The graphics were lost; reload the page."));
 
@@ -132,6 +124,7 @@ export class Viewer {
     if (!this.hands.choose(tool, this.messages)) return;
     this.history.clear();
     this.scene.choose(tool);
+    this.theatre.choose(tool);
     if (this.header !== null) this.header = headerOfHand(this.header, tool);
   }
 
@@ -145,6 +138,7 @@ export class Viewer {
     this.scene.begin(hello);
     this.bodies.begin(hello.bodies);
     this.scene.choose(this.hands.chosen);
+    this.theatre.begin(hello, this.hands.chosen);
     document.title = `${hello.scene.name} – Glisson`;
     this.redraw();
   }
@@ -180,23 +174,8 @@ export class Viewer {
     // On a narrow page the panel lies over the organ instead of beside it.
     this.scene.setCovered(window.innerWidth > 860 ? this.page.panel.getBoundingClientRect().right : 0);
     this.scene.resize();
+    this.theatre.layOut();
     this.redraw();
-  }
-
-  private beginPush(x: number, y: number): void {
-    const start = this.pushStart(x, y);
-    if (start === null) return;
-    this.tool.beginPush(start, this.scene.ray(x, y));
-    this.invalidate();
-  }
-
-  /** What a push at a place of the canvas needs to know; null beside the organ. */
-  private pushStart(x: number, y: number): PushStart | null {
-    const start = this.scene.pushStart(x, y);
-    if (start === null) return null;
-    this.pickedVertex = start.vertex;
-    this.page.hint.classList.add("gone");
-    return start;
   }
 
   private key(event: KeyboardEvent): void {
@@ -209,7 +188,9 @@ export class Viewer {
 
   private run(action: Action, shift: boolean): void {
     const direction = toolDirection(action);
-    if (direction !== null) return this.nudge(direction, shift ? TOOL_STEP_WITH_SHIFT_M : TOOL_STEP_M);
+    if (direction !== null) return this.motion.nudge(direction, shift ? TOOL_STEP_WITH_SHIFT_M : TOOL_STEP_M);
+    const roll_rad = rollOf(action);
+    if (roll_rad !== null) return this.motion.roll(roll_rad);
     const tool = toolNumber(action);
     if (tool !== null) this.choose(tool);
     if (action === "bodies") this.bodies.hideNext();
@@ -242,6 +223,19 @@ export class Viewer {
       case "reset_view":
         this.scene.resetView();
         break;
+      case "theatre":
+        if (this.theatre.endoscope === null) this.messages.notice(NO_ENDOSCOPE);
+        else {
+          this.controls.cancel();
+          this.theatre.turn(!this.theatre.on);
+        }
+        break;
+      case "wipe":
+        this.theatre.smear = 0;
+        break;
+      case "outside":
+        this.theatre.toggleOutside();
+        break;
       case "wireframe":
         this.shown.style = (this.shown.style + 1) % SURFACE_STYLES.length;
         this.scene.setStyle(SURFACE_STYLES[this.shown.style]);
@@ -271,7 +265,7 @@ export class Viewer {
         this.leave();
         break;
       case "tool_place":
-        this.placeTool();
+        this.motion.place();
         break;
     }
     this.refreshSwitches();
@@ -286,29 +280,12 @@ export class Viewer {
     else if (this.shown.profiler) this.run("profiler", false);
   }
 
-  private nudge(direction: readonly [number, number, number], step_m: number): void {
-    const current = this.scene.pose(this.hands.chosen);
-    if (current === null) return;
-    const { right, up, forward } = this.scene.axes();
-    const [x, y, z] = direction;
-    const offset = new Vector3().addScaledVector(right, x).addScaledVector(up, y).addScaledVector(forward, z);
-    this.tool.nudge(offset.multiplyScalar(step_m), current);
-    this.invalidate();
-  }
-
-  private placeTool(): void {
-    if (this.tool.pushing) return;
-    const start = this.pushStart(...this.scene.middle());
-    if (start !== null) this.tool.place(start);
-    else this.messages.error("Nothing of the organ is at the middle of the view: reset the view (R) and try again.");
-  }
-
   private async screenshot(): Promise<void> {
     if (await savePicture(this.scene.picture(this.page.orientation), this.header?.step ?? 0, this.messages)) this.counters.screenshots += 1;
   }
 
   private refreshSwitches(): void {
-    this.toolbar.show(this.header?.paused ?? false, this.help.open, this.shown);
+    this.toolbar.show(this.header?.paused ?? false, this.help.open, this.shown, this.theatre);
   }
 
   private invalidate(): void {
@@ -329,8 +306,11 @@ export class Viewer {
     this.showWaiting();
     if (this.sceneChanged) {
       this.scene.styleTools(arrowScale_m_per_n(this.history.peak_n), this.shown.forces, !this.shown.contacts);
-      this.contacts.show(this.scene.orbit.distance_m);
-      if (this.header !== null) this.scene.showTools(this.header);
+      this.contacts.show(this.scene.distance_m);
+      if (this.header !== null) {
+        this.scene.showTools(this.header);
+        this.theatre.take(this.header);
+      }
     }
     const drawing_ms = performance.now();
     if (this.sceneChanged) this.scene.render(this.resolution.moving(now_ms));
@@ -392,7 +372,7 @@ export class Viewer {
 
   /** The parts that `hook.ts` reads. */
   parts(): ViewerParts {
-    const { scene, panel, messages, help, tool, profile, hello, header, pickedVertex, state, shown, counters } = this;
-    return { scene, panel, messages, help, tool, profile, hello, header, pickedVertex, state, shown, counters };
+    const { scene, panel, messages, help, tool, profile, hello, header, theatre, motion: { pickedVertex }, state, shown, counters } = this;
+    return { scene, panel, messages, help, tool, profile, hello, header, theatre, pickedVertex, state, shown, counters };
   }
 }

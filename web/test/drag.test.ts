@@ -186,6 +186,18 @@ describe("the tool driver", () => {
     near(driver.pose!.tip_m, v(0.003, -0.1, 0));
   });
 
+  it("is led through a pivot, as fast as a hand", () => {
+    const driver = new ToolDriver();
+    const pivot = v(0, -0.3, 0);
+    const home = { tip_m: v(0, -0.1, 0), shaft: v(0, -1, 0) };
+    expect(driver.goal_m).toBeNull();
+    driver.lead(v(0.05, -0.1, 0), pivot, home);
+    expect(driver.goal_m).toEqual(v(0.05, -0.1, 0));
+    expect(drive(driver)).toBeLessThan(15);
+    near(driver.pose!.tip_m, v(0.05, -0.1, 0), 1e-12);
+    near(driver.pose!.shaft, v(-0.05, -0.2, 0).normalize(), 1e-12);
+  });
+
   it("keys do not disturb a push, the wheel needs one", () => {
     const driver = new ToolDriver();
     expect(driver.wheel(1)).toBe(false);

@@ -1,7 +1,7 @@
 import { Vector3 } from "three";
 import { describe, expect, it } from "vitest";
 import { Hands } from "../src/hands";
-import { toolNumber } from "../src/keys";
+import { rollOf, toolNumber } from "../src/keys";
 import type { Messages } from "../src/overlays";
 import type { Hello, ToolInfo } from "../src/protocol";
 
@@ -12,6 +12,8 @@ const TOOL: ToolInfo = {
   shaft_radius_m: 0.002,
   shaft_length_m: 0.3,
   jaws: { length_m: 0.02, width_m: 0.005, greatest_opening_rad: 1 },
+  optics: null,
+  trocar_m: null,
   home_tip_m: [0, 0, 0],
   home_shaft: [0, -1, 0],
   home_jaw: 1,
@@ -48,5 +50,19 @@ describe("several instruments", () => {
     expect(hands.advance(0.02, shown)).toEqual([]);
     hands.forget();
     expect(hands.message(1, pose, null)).toMatchObject({ jaw: 1, trigger: 0 });
+  });
+
+  it("keys − and + roll it from where it is shown, and the roll stays", () => {
+    const hands = new Hands();
+    hands.begin(HELLO);
+    const step = rollOf("roll_left")!;
+    expect([step > 0, rollOf("roll_right"), rollOf("cut")]).toEqual([true, -step, null]);
+    hands.roll(0, step, 0.5);
+    hands.roll(0, step, 99);
+    const [{ tool, pose }] = hands.advance(0.02, shown);
+    expect(hands.message(tool, pose, null)).toMatchObject({ tool: 0, roll_rad: 0.5 + 2 * step });
+    expect(hands.message(1, pose, null)).toMatchObject({ roll_rad: 0 });
+    hands.forget();
+    expect(hands.message(0, pose, null)).toMatchObject({ roll_rad: 0 });
   });
 });

@@ -108,6 +108,8 @@ const HELLO: Hello = {
       shaft_radius_m: 0.0025,
       shaft_length_m: 0.3,
       jaws: { length_m: 0.02, width_m: 0.005, greatest_opening_rad: 1 },
+      optics: null,
+      trocar_m: null,
       home_tip_m: [0, -0.2, 0],
       home_shaft: [0, -1, 0],
       home_jaw: 1,

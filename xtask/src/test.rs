@@ -193,5 +193,24 @@ fn browser(scene: &Path) -> anyhow::Result<()> {
             .context("cannot start npm")?;
         anyhow::ensure!(status.success(), "the browser test failed ({status}): {tests} {}", more.join(" "));
     }
+    theatre(scene, &chromium)
+}
+
+/// The view through an endoscope, of the same liver in a scene of its own.
+fn theatre(demo_scene: &Path, chromium: &Path) -> anyhow::Result<()> {
+    let scene = demo_scene.with_file_name("theatre.toml");
+    std::fs::copy(root().join("web/e2e/theatre.toml"), &scene)
+        .with_context(|| scene.display().to_string())?;
+    let server = Served::serve(&program(), &scene, &[])?;
+    let address = format!("http://{}", server.says_after("http://", SERVER_START)?);
+    println!("$ npm run test:theatre (GLISSON_THEATRE_URL={address})");
+    let status = Command::new("npm")
+        .args(["run", "test:theatre"])
+        .current_dir(root().join("web"))
+        .env("GLISSON_THEATRE_URL", &address)
+        .env("CHROMIUM", chromium)
+        .status()
+        .context("cannot start npm")?;
+    anyhow::ensure!(status.success(), "the browser test failed ({status}): test:theatre");
     Ok(())
 }

@@ -65,6 +65,12 @@ fn described(tool: &Tool) -> Value {
             "greatest_opening_rad": jaws.greatest_opening_rad,
         })
     });
+    let optics = tool.kind.optics().map(|optics| {
+        json!({
+            "view_angle_rad": optics.view_angle_rad,
+            "field_of_view_rad": optics.field_of_view_rad,
+        })
+    });
     json!({
         "name": tool.name,
         "kind": tool.kind.name(),
@@ -72,6 +78,7 @@ fn described(tool: &Tool) -> Value {
         "shaft_radius_m": tool.shaft_radius_m,
         "shaft_length_m": tool.shaft_length_m,
         "jaws": jaws,
+        "optics": optics,
         "trocar_m": tool.trocar_m.map(|p| p.to_array()),
         "home_tip_m": tool.home.tip_in_world_m.to_array(),
         "home_shaft": tool.home.shaft_in_world.to_array(),
@@ -322,6 +329,7 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glisson::tool::{Optics, ToolKind};
     use proptest::prelude::*;
 
     fn command(text: &str) -> Result<Command, String> {
@@ -374,6 +382,16 @@ mod tests {
                 prop_assert!(!reason.is_empty());
             }
         }
+    }
+
+    #[test]
+    fn the_lens_of_an_endoscope_is_described() {
+        let probe = Tool::probe("camera", 5e-3, ToolInput::at(DVec3::ZERO, DVec3::NEG_Y));
+        assert!(described(&probe)["optics"].is_null());
+        let kind = ToolKind::endoscope(Optics { view_angle_rad: 0.5, field_of_view_rad: 1.25 });
+        let described = described(&Tool { kind, ..probe });
+        assert_eq!(described["kind"], "endoscope");
+        assert_eq!(described["optics"], json!({ "view_angle_rad": 0.5, "field_of_view_rad": 1.25 }));
     }
 
     #[test]

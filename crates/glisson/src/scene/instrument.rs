@@ -6,8 +6,8 @@ use super::reader::{SceneError, Section};
 use super::when_cut::RefusedCuts;
 use crate::math::DVec3;
 use crate::tool::{
-    Blade, BladeCuts, Burnt, CutRule, Grip, INSTRUMENTS, JawUse, Jaws, MAX_TOOLS, Snip, Tool, ToolInput,
-    ToolKind, ToolParts, ToolShape, instrument_names,
+    Blade, BladeCuts, Burnt, CutRule, Grip, INSTRUMENTS, JawUse, Jaws, MAX_TOOLS, Optics, Snip, Tool,
+    ToolInput, ToolKind, ToolParts, ToolShape, instrument_names,
 };
 use crate::units::Dimension;
 use std::path::PathBuf;
@@ -47,6 +47,14 @@ const DEFAULT_CUT: CutRule =
     CutRule { least_force_n: 0.05, least_time_s: 0.05, power_w: 0.0, takes: Burnt::Tetrahedra };
 /// How much larger than the tip what it sweeps away is: a choice.
 const DEFAULT_BURN_DEPTH_M: f64 = 5e-4;
+
+/// The lens of an endoscope whose table does not say: choices, and between what they may be [rad].
+const DEFAULT_OPTICS: Optics =
+    Optics { view_angle_rad: 30.0 * DEGREE_RAD, field_of_view_rad: 70.0 * DEGREE_RAD };
+const VIEW_ANGLES_DEG: [f64; 2] = [0.0, 90.0];
+const FIELDS_OF_VIEW_DEG: [f64; 2] = [20.0, 120.0];
+const DEGREE_RAD: f64 = std::f64::consts::PI / 180.0;
+const ANGLE_ROUNDING_DEG: f64 = 1e-9;
 
 /// How blades cut, as scenes write it, and scissors.
 const BLADE_CUTS: [(&str, BladeCuts); 3] = [
@@ -241,7 +249,8 @@ fn read_kind(
     let blade = if kind.has_blade { blade_of(section)? } else { DEFAULT_BLADE };
     let burning = if kind.burns { read_cut(section, cuts)? } else { DEFAULT_CUT };
     let snip = if kind.jaws == Some(JawUse::Part) { read_snip(section, cuts)? } else { DEFAULT_SNIP };
-    Ok((ToolKind::of(kind, &ToolParts { jaws, blade, burning, snip }), kind.sticks))
+    let optics = if kind.has_optics { read_optics(section)? } else { DEFAULT_OPTICS };
+    Ok((ToolKind::of(kind, &ToolParts { jaws, blade, burning, snip, optics }), kind.sticks))
 }
 
 fn read_blade(section: &mut Section<'_>, rules: &CutRules, tip_radius_m: f64) -> Result<Blade, SceneError> {
@@ -293,6 +302,24 @@ fn read_jaws(section: &mut Section<'_>) -> Result<Jaws, SceneError> {
             .positive("jaw_angle", Dimension::Angle)?
             .unwrap_or(d.greatest_opening_rad),
         closing_force_n: section.positive("closing_force", Dimension::Force)?.unwrap_or(d.closing_force_n),
+    })
+}
+
+fn read_optics(section: &mut Section<'_>) -> Result<Optics, SceneError> {
+    let mut between = |key, [least, most]: [f64; 2], default_rad| {
+        let Some((angle_rad, at)) = section.quantity(key, Dimension::Angle)? else { return Ok(default_rad) };
+        let degrees = angle_rad / DEGREE_RAD;
+        // A bound that is written in degrees is allowed, whatever rounding makes of it.
+        if (least - ANGLE_ROUNDING_DEG..=most + ANGLE_ROUNDING_DEG).contains(&degrees) {
+            return Ok(angle_rad);
+        }
+        let allowed = format!("{least} to {most} deg");
+        Err(section.wrong_value(at, key, format!("{degrees:.3} deg"), &allowed))
+    };
+    let d = DEFAULT_OPTICS;
+    Ok(Optics {
+        view_angle_rad: between("view_angle", VIEW_ANGLES_DEG, d.view_angle_rad)?,
+        field_of_view_rad: between("field_of_view", FIELDS_OF_VIEW_DEG, d.field_of_view_rad)?,
     })
 }
 

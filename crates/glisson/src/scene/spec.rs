@@ -288,13 +288,35 @@ trigger = 1
         assert_eq!(scene.end_of_paths_s(), Some(1.0));
 
         let message = |text: &str| Scene::parse(text).unwrap_err().to_string();
-        let allowed =
-            "\"kind\" is \"grabber\"; allowed: probe, grasper, scissors, scalpel, hook, cautery, clipper";
+        let allowed = "\"kind\" is \"grabber\"; allowed: probe, grasper, scissors, scalpel, hook, cautery, clipper, endoscope";
         assert!(message(&two.replace("\"grasper\"", "\"grabber\"")).contains(allowed));
         assert!(message(&two.replace("home_jaw = 1", "home_jaw = 2")).contains("between 0 and 1"));
         assert!(message(&two.replace("\"grasper\"", "\"probe\"")).contains("unknown key"));
         let five = two.clone() + &grasper.repeat(3);
         assert!(message(&five).contains("5 instruments; allowed: 1 to 4"), "{}", message(&five));
+    }
+
+    #[test]
+    fn endoscopes_have_a_lens() {
+        let base = SCENE.replace("[tool]", "[[tool]]")
+            + "\n[[tool]]\nkind = \"endoscope\"\ntip_radius = \"5 mm\"\nhome_tip = [\"0 mm\", \"0 mm\", \"0 mm\"]\nhome_shaft = [0, 0, 1]\n";
+        let lens = |text: &str| {
+            let tool = Scene::parse(text).unwrap().world.tools[1].clone();
+            assert!(!tool.grip.is_sticky && tool.kind.name() == "endoscope");
+            let optics = *tool.kind.optics().unwrap();
+            [optics.view_angle_rad, optics.field_of_view_rad].map(f64::to_degrees)
+        };
+        let close = |[a, b]: [f64; 2], [c, d]: [f64; 2]| (a - c).abs() < 1e-9 && (b - d).abs() < 1e-9;
+        assert!(close(lens(&base), [30.0, 70.0]));
+        let said = base.clone() + "view_angle = \"90 deg\"\nfield_of_view = \"20 deg\"\n";
+        assert!(close(lens(&said), [90.0, 20.0]));
+        let message = |text: &str| Scene::parse(text).unwrap_err().to_string();
+        let wrong = message(&said.replace("\"90 deg\"", "\"-5 deg\""));
+        assert!(wrong.contains("\"view_angle\" is -5.000 deg; allowed: 0 to 90 deg"), "{wrong}");
+        let wrong = message(&said.replace("\"20 deg\"", "\"130 deg\""));
+        assert!(wrong.contains("\"field_of_view\" is 130.000 deg; allowed: 20 to 120 deg"), "{wrong}");
+        let wrong = message(&said.replace("\"endoscope\"", "\"probe\""));
+        assert!(wrong.contains("unknown key"), "{wrong}");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! What an instrument is made for: the table of kinds, each of which says what parts it has.
 
-use super::{Blade, BladeCuts, CutRule, Jaws, Snip};
+use super::{Blade, BladeCuts, CutRule, Jaws, Optics, Snip};
 
 /// A kind of instrument: a row of the table [`INSTRUMENTS`]. What it does follows from the parts that it has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,6 +15,8 @@ pub struct InstrumentKind {
     pub has_blade: bool,
     /// Whether it burns away what its tip touches, or what its closed jaws hold.
     pub burns: bool,
+    /// Whether it looks through a lens at its tip.
+    pub has_optics: bool,
     /// Whether tissue sticks to it unless the scene knows how it slides.
     pub sticks: bool,
 }
@@ -31,8 +33,15 @@ pub enum JawUse {
 }
 
 /// An instrument without parts that tissue slides on: to begin a row with.
-const PLAIN: InstrumentKind =
-    InstrumentKind { name: "", about: "", jaws: None, has_blade: false, burns: false, sticks: false };
+const PLAIN: InstrumentKind = InstrumentKind {
+    name: "",
+    about: "",
+    jaws: None,
+    has_blade: false,
+    burns: false,
+    has_optics: false,
+    sticks: false,
+};
 
 const PROBE: InstrumentKind = InstrumentKind { name: "probe", about: "pushes", sticks: true, ..PLAIN };
 const GRASPER: InstrumentKind = InstrumentKind {
@@ -70,8 +79,12 @@ const CLIPPER: InstrumentKind = InstrumentKind {
     ..PLAIN
 };
 
+const ENDOSCOPE: InstrumentKind =
+    InstrumentKind { name: "endoscope", about: "shows what is before its tip", has_optics: true, ..PLAIN };
+
 /// Every kind, in the order of lists: one line a kind (docs/extending.md).
-pub const INSTRUMENTS: &[InstrumentKind] = &[PROBE, GRASPER, SCISSORS, SCALPEL, HOOK, CAUTERY, CLIPPER];
+pub const INSTRUMENTS: &[InstrumentKind] =
+    &[PROBE, GRASPER, SCISSORS, SCALPEL, HOOK, CAUTERY, CLIPPER, ENDOSCOPE];
 
 /// The names of all kinds, in the order of the table.
 pub fn instrument_names() -> impl Iterator<Item = &'static str> {
@@ -86,6 +99,7 @@ pub struct ToolKind {
     blade: Option<Blade>,
     burning: Option<CutRule>,
     snip: Option<Snip>,
+    optics: Option<Optics>,
 }
 
 /// Sizes of the parts that instruments may have.
@@ -99,11 +113,14 @@ pub struct ToolParts {
     pub burning: CutRule,
     /// What closing jaws do that part.
     pub snip: Snip,
+    /// Of a lens.
+    pub optics: Optics,
 }
 
 impl ToolKind {
     /// A probe: it pushes.
-    pub const PROBE: Self = Self { kind: PROBE, jaws: None, blade: None, burning: None, snip: None };
+    pub const PROBE: Self =
+        Self { kind: PROBE, jaws: None, blade: None, burning: None, snip: None, optics: None };
 
     /// An instrument of a kind, with those of the parts that the kind has.
     pub fn of(kind: &InstrumentKind, parts: &ToolParts) -> Self {
@@ -113,6 +130,7 @@ impl ToolKind {
             blade: kind.has_blade.then_some(parts.blade),
             burning: kind.burns.then_some(parts.burning),
             snip: (kind.jaws == Some(JawUse::Part)).then_some(parts.snip),
+            optics: kind.has_optics.then_some(parts.optics),
         }
     }
 
@@ -141,6 +159,11 @@ impl ToolKind {
         Self { kind: CAUTERY, jaws: Some(jaws), burning: Some(burning), ..Self::PROBE }
     }
 
+    /// An endoscope with this lens.
+    pub const fn endoscope(optics: Optics) -> Self {
+        Self { kind: ENDOSCOPE, optics: Some(optics), ..Self::PROBE }
+    }
+
     /// The name in scene files.
     pub fn name(&self) -> &'static str {
         self.kind.name
@@ -159,6 +182,11 @@ impl ToolKind {
     /// When it takes away what it touches or holds, if it burns.
     pub fn burning(&self) -> Option<&CutRule> {
         self.burning.as_ref()
+    }
+
+    /// Its lens, if it looks through one.
+    pub fn optics(&self) -> Option<&Optics> {
+        self.optics.as_ref()
     }
 
     /// Whether its jaws hold what they close on.

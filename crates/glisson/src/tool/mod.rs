@@ -5,6 +5,7 @@ pub mod cautery;
 pub mod fracture;
 pub mod cut;
 pub mod pose;
+pub mod endoscope;
 pub mod trocar;
 pub mod external_detection;
 
@@ -63,6 +64,15 @@ pub struct Blade {
     pub edge_radius_m: f64,
     /// How it parts tissue.
     pub cuts: BladeCuts,
+}
+
+/// The lens of an endoscope ([`endoscope`]).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Optics {
+    /// Between the way out of the tip and the direction of view [rad].
+    pub view_angle_rad: f64,
+    /// Full angle of the cone that is seen [rad].
+    pub field_of_view_rad: f64,
 }
 
 /// How a blade parts tissue.

@@ -1,0 +1,115 @@
+/** What pointer and keys ask of the instrument in the hand; in the theatre view what turns the view leads the endoscope. */
+import { Vector3 } from "three";
+import type { PushStart } from "./drag";
+import type { Hands } from "./hands";
+import { panned, turned, zoomed, type Orbit } from "./orbit";
+import type { Messages } from "./overlays";
+import type { Page } from "./page";
+import type { Scene3d } from "./scene3d";
+import { advanced, pivoted } from "./theatre/endoscope";
+import type { Theatre } from "./theatre/view";
+
+export interface MotionEvents {
+  /** An instrument should move. */
+  moved(): void;
+  /** The view from outside should be another. */
+  viewed(orbit: Orbit): void;
+}
+
+export class HandMotion {
+  /** Vertex nearest to the picked point of the last push. */
+  pickedVertex: number | null = null;
+
+  constructor(
+    private readonly scene: Scene3d,
+    private readonly hands: Hands,
+    private readonly theatre: Theatre,
+    private readonly page: Page,
+    private readonly messages: Messages,
+    private readonly events: MotionEvents,
+  ) {}
+
+  isOnOrgan(x: number, y: number): boolean {
+    return !this.theatre.leads(this.hands.chosen) && this.scene.pick(x, y) !== null;
+  }
+
+  pushBegin(x: number, y: number): void {
+    const start = this.pushStart(x, y);
+    if (start === null) return;
+    this.hands.driver.beginPush(start, this.scene.ray(x, y));
+    this.events.moved();
+  }
+
+  pushMove(x: number, y: number): void {
+    this.hands.driver.follow(this.scene.ray(x, y));
+    this.events.moved();
+  }
+
+  pushEnd(): void {
+    this.hands.driver.retract();
+    this.events.moved();
+  }
+
+  turn(dx: number, dy: number): void {
+    const axes = this.scene.axes();
+    const rad = this.theatre.pixel_rad;
+    if (this.theatre.on) this.lead((tip_m, pivot_m) => pivoted(tip_m, pivot_m, axes, dx * rad, dy * rad));
+    else this.events.viewed(turned(this.scene.orbit, dx, dy, this.scene.height));
+  }
+
+  move(dx: number, dy: number): void {
+    if (!this.theatre.on) this.events.viewed(panned(this.scene.orbit, dx, dy, this.scene.height));
+    else if (this.theatre.endoscope !== null) this.roll(-dx * this.theatre.pixel_rad, this.theatre.endoscope);
+  }
+
+  wheel(notches: number): void {
+    if (this.hands.driver.wheel(notches)) this.events.moved();
+    else if (this.theatre.on) this.lead((tip_m, pivot_m) => advanced(tip_m, pivot_m, notches));
+    else this.events.viewed(zoomed(this.scene.orbit, notches));
+  }
+
+  /** Turns an instrument about its shaft. */
+  roll(by_rad: number, tool = this.hands.chosen): void {
+    this.hands.roll(tool, by_rad, this.scene.roll_rad(tool));
+    this.events.moved();
+  }
+
+  /** Moves the tip along the screen (right, up, into). */
+  nudge(direction: readonly [number, number, number], step_m: number): void {
+    const current = this.scene.pose(this.hands.chosen);
+    if (current === null) return;
+    const { right, up, forward } = this.scene.axes();
+    const [x, y, z] = direction;
+    const offset = new Vector3().addScaledVector(right, x).addScaledVector(up, y).addScaledVector(forward, z);
+    this.hands.driver.nudge(offset.multiplyScalar(step_m), current);
+    this.events.moved();
+  }
+
+  /** Sets the tip on the organ at the middle of the view. */
+  place(): void {
+    if (this.hands.driver.pushing) return;
+    const start = this.pushStart(...this.scene.middle());
+    if (start !== null) this.hands.driver.place(start);
+    else this.messages.error("Nothing of the organ is at the middle of the view: reset the view (R) and try again.");
+  }
+
+  /** What a push at a place of the canvas needs to know; null beside the organ. */
+  private pushStart(x: number, y: number): PushStart | null {
+    const start = this.scene.pushStart(x, y);
+    if (start === null) return null;
+    this.pickedVertex = start.vertex;
+    this.page.hint.classList.add("gone");
+    return start;
+  }
+
+  /** Leads the endoscope's tip about its trocar, or about its handle where it has none. */
+  private lead(to: (tip_m: Vector3, pivot_m: Vector3) => Vector3): void {
+    const { endoscope, info } = this.theatre;
+    const current = endoscope === null ? null : this.scene.pose(endoscope);
+    if (endoscope === null || info === null || current === null) return;
+    const driver = this.hands.driverOf(endoscope);
+    const pivot_m = info.trocar_m === null ? current.tip_m.clone().addScaledVector(current.shaft, info.shaft_length_m) : new Vector3(...info.trocar_m);
+    driver.lead(to(driver.goal_m ?? current.tip_m, pivot_m), pivot_m, current);
+    this.events.moved();
+  }
+}

@@ -1,0 +1,89 @@
+/**
+ * The lamp of an endoscope in shaders: it shines from beside the lens, so that light and view nearly agree; its light falls off
+ * with the square of the distance and towards the rim. Wet tissue mirrors it in small bright spots: a sharp lobe of the film and a
+ * broad one of what is below, both of B. Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007
+ * (GGX). What else shines is light that walls throw back, red. The looks are chosen by eye.
+ */
+
+import { Mesh, ShaderMaterial, type Object3D, type ShaderMaterialParameters } from "three";
+
+/** Power of the lamp: irradiance at a metre. Shared by all materials. */
+export const lampPower = { value: 0 };
+
+const twins = new WeakMap<ShaderMaterial, ShaderMaterial>();
+
+/**
+ * A material with a twin for the lamp, of the same uniforms, whose shader is compiled with `IN_LAMP`. A condition in one shader would
+ * cost both ways where the processor draws.
+ */
+export function withLampTwin(parameters: ShaderMaterialParameters): ShaderMaterial {
+  const uniforms = { ...parameters.uniforms, lamp: lampPower };
+  const material = new ShaderMaterial({ ...parameters, uniforms });
+  const twin = new ShaderMaterial({ ...parameters, uniforms, defines: { IN_LAMP: "" } });
+  twins.set(material, twin);
+  material.addEventListener("dispose", () => twin.dispose());
+  return material;
+}
+
+/** Draws with the lamp's light alone: `draw` sees every material's twin. */
+export function inLampLight(scene: Object3D, draw: () => void): void {
+  const swapped: Array<[Mesh, ShaderMaterial]> = [];
+  scene.traverse((part) => {
+    if (!(part instanceof Mesh) || !(part.material instanceof ShaderMaterial)) return;
+    const twin = twins.get(part.material);
+    if (twin === undefined) return;
+    swapped.push([part, part.material]);
+    part.material = twin;
+  });
+  draw();
+  for (const [part, material] of swapped) part.material = material;
+}
+
+/** Needs `schlick`. Places and directions in view space. */
+export const LAMP = /* glsl */ `
+uniform float lamp;
+// Where its fibres end, beside the lens [m].
+const vec3 LAMP_AT = vec3(0.0, 0.0028, 0.0);
+const vec3 LAMP_COLOUR = vec3(1.0, 0.97, 0.93);
+const vec3 THROWN_BACK = vec3(0.075, 0.026, 0.020);
+// Irradiance of a surface that faces it, and the direction to it.
+float lampAt(vec3 p, out vec3 to) {
+  vec3 way = LAMP_AT - p;
+  float distance2 = dot(way, way);
+  to = way * inversesqrt(distance2);
+  return lamp * to.z * to.z / (distance2 + 2.5e-5);
+}
+float lobe(float cosine, float roughness) {
+  float a2 = roughness * roughness;
+  float t = cosine * cosine * (a2 - 1.0) + 1.0;
+  return a2 / (3.1416 * t * t);
+}
+vec3 wetInLamp(vec3 albedo, vec3 n, vec3 broad, vec3 v, vec3 p, float wet) {
+  vec3 to;
+  float power = lampAt(p, to);
+  vec3 h = normalize(to + v);
+  vec3 wrap = vec3(0.34, 0.16, 0.13);
+  vec3 lit = max((vec3(dot(broad, to)) + wrap) / (1.0 + wrap), 0.0);
+  float rim = 1.0 - clamp(dot(broad, v), 0.0, 1.0);
+  vec3 colour = albedo * (power * LAMP_COLOUR * lit + 3.0 * THROWN_BACK);
+  // Light that went into the tissue comes out redder where it is seen from the side.
+  colour += power * vec3(0.030, 0.0035, 0.002) * rim * lit;
+  float facing = clamp(dot(n, to), 0.0, 1.0);
+  float film = lobe(clamp(dot(n, h), 0.0, 1.0), 0.085) * schlick(0.03, 0.8, facing) * wet;
+  float below = lobe(clamp(dot(broad, h), 0.0, 1.0), 0.30) * 0.022;
+  colour += power * LAMP_COLOUR * 0.25 * facing * (film + below);
+  return colour + THROWN_BACK * schlick(0.03, 0.7, clamp(dot(n, v), 0.0, 1.0)) * wet;
+}
+vec3 solidInLamp(vec3 tint, float metal, float softness, vec3 n, vec3 v, vec3 p) {
+  vec3 to;
+  float power = lampAt(p, to);
+  vec3 h = normalize(to + v);
+  float facing = clamp(dot(n, to), 0.0, 1.0);
+  float mirrored = lobe(clamp(dot(n, h), 0.0, 1.0), 0.10 + softness);
+  vec3 matte = tint * (power * facing * 0.32 + 3.0 * THROWN_BACK) + power * 0.01 * mirrored * facing;
+  // Metal shows the walls around it, dark and red, and the lamp.
+  vec3 around = THROWN_BACK * (1.2 + 1.6 * n.y);
+  vec3 polished = tint * (around + power * LAMP_COLOUR * (0.05 * facing + 0.075 * mirrored * facing));
+  return mix(matte, polished, metal);
+}
+`;

@@ -1,0 +1,259 @@
+/**
+ * The theatre view: what the endoscope shows, as a circle on the canvas, and in a corner the picture from outside. Camera and lamp
+ * are at the endoscope's tip as the last snapshot has it. A lens that touches tissue is smeared until it is wiped.
+ */
+import { PerspectiveCamera, Vector3, type Mesh } from "three";
+import type { Ray, ViewAxes } from "../drag";
+import { FIELD_OF_VIEW_DEG, viewAxes } from "../orbit";
+import type { Page } from "../page";
+import type { Hello, SnapshotHeader, ToolInfo } from "../protocol";
+import type { OtherView, Scene3d } from "../scene3d";
+import { newCavity, placeCavity } from "./cavity";
+import { eyeOf, type Eye } from "./endoscope";
+import { inLampLight, lampPower } from "./lamp";
+import { isInCircle, LensPass, MOST_DISTORTION, rayThrough, seenAt, USUAL_DISTORTION, type Circle } from "./lens";
+
+/** Of the endoscope's camera [m]: tissue at the lens is seen, and the far side of an abdomen. */
+const NEAR_M = 5e-4;
+const FAR_M = 2;
+/** Contact this much further from the tip's centre than its radius is at the lens [m]; further up it is at the shaft. */
+const AT_LENS_M = 1.5e-3;
+/** A circle smaller than this lies over the panel instead of beside it [CSS pixels]. */
+const SMALLEST_RADIUS = 150;
+const RIM = 10;
+/** Irradiance of the organ at 10 cm, in the picture's own measure. */
+const EXPOSURE = 3.1;
+/** The camera makes up for a part of what distance takes, as cameras of endoscopes do: exponent of the distance, 2 for all of it. */
+const MADE_UP = 1.5;
+const NEAREST_EXPOSED_M = 0.005;
+const FURTHEST_EXPOSED_M = 0.3;
+/** Places of the circle whose distance sets the exposure. */
+const METERED: ReadonlyArray<readonly [number, number]> = [[0, 0], [0.4, 0], [-0.4, 0], [0, 0.4], [0, -0.4]];
+/** Pixels of a smeared picture to CSS pixels. */
+const SMEARED_RATIO = 0.1;
+/** How much further away the picture from outside is taken than the laboratory view. */
+const FURTHER_OUT = 0.5;
+const HALF_DEGREE_RAD = Math.PI / 360;
+const DEEP_RED = 0x0d0303;
+const OUTSIDE = 0x141c23;
+
+/** What tests read. */
+export interface TheatreReport {
+  readonly on: boolean;
+  /** Number of the endoscope; null for a scene without. */
+  readonly endoscope: number | null;
+  readonly smear: number;
+  readonly outside: boolean;
+  /** The picture's circle on the canvas [CSS pixels]. */
+  readonly circle: Circle;
+  /** Of the camera that draws it, in the patient frame. */
+  readonly camera: { readonly position_m: number[]; readonly forward: number[]; readonly up: number[]; readonly field_of_view_rad: number };
+}
+
+/** Distortion of the lens as the page's address asks for it, `?distortion=0.2`. */
+export function distortionOf(search: string): number {
+  const asked = new URLSearchParams(search).get("distortion");
+  const share = asked === null ? USUAL_DISTORTION : Number(asked);
+  return share >= 0 && share <= MOST_DISTORTION ? share : USUAL_DISTORTION;
+}
+
+export class Theatre implements OtherView {
+  /** Number of the endoscope; null for a scene without. */
+  endoscope: number | null = null;
+  smear = 0;
+  private metered_m = FURTHEST_EXPOSED_M;
+  private outside = true;
+  private eye: Eye | null = null;
+  private circle: Circle = { x: 0, y: 0, radius: 1 };
+  private hello: Hello | null = null;
+  private readonly camera = new PerspectiveCamera(70, 1, NEAR_M, FAR_M);
+  private readonly outsideCamera = new PerspectiveCamera();
+  private readonly cavity: Mesh;
+  private readonly lens: LensPass;
+  private readonly distortion = distortionOf(window.location.search);
+
+  constructor(
+    private readonly scene: Scene3d,
+    private readonly page: Pick<Page, "panel" | "toolbar" | "orientation" | "hint" | "outside">,
+  ) {
+    this.lens = new LensPass(scene.software ? 0 : 4, this.distortion);
+    this.cavity = newCavity(scene.tissue);
+    scene.scene.add(this.cavity);
+  }
+
+  get on(): boolean {
+    return this.scene.other === this;
+  }
+
+  /** The endoscope; null for a scene without. */
+  get info(): ToolInfo | null {
+    return (this.endoscope === null ? null : this.hello?.tools[this.endoscope]) ?? null;
+  }
+
+  /** A scene: the view stays as it is where that has an endoscope too, and begins with what the page's address asks for. */
+  begin(hello: Hello, chosen: number): void {
+    const isFirst = this.hello === null;
+    this.hello = hello;
+    this.eye = null;
+    this.choose(chosen);
+    placeCavity(this.cavity, hello);
+    const asked = isFirst && new URLSearchParams(window.location.search).get("view") === "theatre";
+    this.turn((this.on || asked) && this.endoscope !== null);
+  }
+
+  /** Of several endoscopes the one in the hand shows, else the first. */
+  choose(chosen: number): void {
+    const tools = this.hello?.tools ?? [];
+    const first = tools.findIndex((tool) => tool.optics !== null);
+    this.endoscope = (tools[chosen]?.optics ?? null) !== null ? chosen : first < 0 ? null : first;
+  }
+
+  turn(on: boolean): void {
+    this.scene.other = on ? this : null;
+    for (const part of [this.page.orientation, this.page.hint]) part.hidden = on;
+    this.layOut();
+  }
+
+  toggleOutside(): void {
+    this.outside = !this.outside;
+    this.layOut();
+  }
+
+  get showsOutside(): boolean {
+    return this.on && this.outside;
+  }
+
+  /** True if the endoscope is the instrument in the hand: dragging leads it, and nothing is pushed. */
+  leads(chosen: number): boolean {
+    return this.on && this.endoscope === chosen;
+  }
+
+  /** The page's size or its buttons changed: the circle fills what they leave free. */
+  layOut(): void {
+    const { panel, toolbar, outside } = this.page;
+    const [panelBox, toolbarBox] = [panel.getBoundingClientRect(), toolbar.getBoundingClientRect()];
+    const bottom = toolbarBox.height > 0 ? Math.min(toolbarBox.top, this.scene.height) : this.scene.height;
+    const beside = (left: number): Circle => ({
+      x: (left + this.scene.width) / 2,
+      y: bottom / 2,
+      radius: Math.max(1, Math.min(this.scene.width - left, bottom) / 2 - RIM),
+    });
+    const free = beside(Math.min(panelBox.right, 0.6 * this.scene.width));
+    this.circle = free.radius < SMALLEST_RADIUS ? beside(0) : free;
+    outside.hidden = !this.showsOutside;
+    outside.style.bottom = `${this.scene.height - bottom + RIM}px`;
+  }
+
+  /** A snapshot is shown. */
+  take({ tools }: SnapshotHeader): void {
+    const tool = this.endoscope === null ? undefined : tools[this.endoscope];
+    const { info } = this;
+    if (tool === undefined || info === null || info.optics === null) return;
+    this.eye = eyeOf(tool, info.optics);
+    const { position_m, forward, up, field_of_view_rad } = this.eye;
+    this.camera.position.copy(position_m);
+    this.camera.up.copy(up);
+    this.camera.lookAt(position_m.clone().add(forward));
+    this.camera.fov = (field_of_view_rad * 180) / Math.PI;
+    this.camera.updateProjectionMatrix();
+    this.camera.updateMatrixWorld();
+    const isAtLens = tool.contact && new Vector3(...tool.contactPoint_m).distanceTo(position_m) < info.tip_radius_m + AT_LENS_M;
+    if (isAtLens) this.smear = 1;
+  }
+
+  /** Angle of the picture that a pixel covers [rad]. */
+  get pixel_rad(): number {
+    return (this.eye?.field_of_view_rad ?? 1) / (2 * this.circle.radius);
+  }
+
+  // ---- where the picture's points are ----
+
+  shows(x: number, y: number): boolean {
+    return this.eye !== null && isInCircle(x, y, this.circle);
+  }
+
+  ray(x: number, y: number): Ray | null {
+    return this.eye && rayThrough(x, y, this.circle, this.eye, this.distortion);
+  }
+
+  project(point_m: Vector3): [number, number] | null {
+    return this.eye && seenAt(point_m, this.circle, this.eye, this.distortion);
+  }
+
+  middle(): [number, number] {
+    return [this.circle.x, this.circle.y];
+  }
+
+  axes(): ViewAxes | null {
+    return this.eye;
+  }
+
+  get distance_m(): number {
+    return (this.metered_m * Math.tan(this.camera.fov * HALF_DEGREE_RAD)) / Math.tan(FIELD_OF_VIEW_DEG * HALF_DEGREE_RAD);
+  }
+
+  // ---- drawing ----
+
+  draw(): void {
+    const { renderer, scene } = this.scene;
+    // What is smeared needs few pixels.
+    this.lens.fit(this.circle, this.smear > 0 ? SMEARED_RATIO : renderer.getPixelRatio());
+    this.seenByEndoscope(true);
+    renderer.setRenderTarget(this.lens.target);
+    renderer.setClearColor(DEEP_RED, 1);
+    inLampLight(scene, () => renderer.render(scene, this.camera));
+    renderer.setRenderTarget(null);
+    this.seenByEndoscope(false);
+    this.lens.draw(renderer, this.circle, this.scene.height, this.smear);
+    if (this.showsOutside) this.drawOutside();
+    renderer.setClearColor(0x000000, 0);
+  }
+
+  /** The endoscope does not see itself, nor what is drawn to explain the scene; its lamp alone shines. */
+  private seenByEndoscope(seen: boolean): void {
+    this.scene.instruments.forEach((instrument, i) => {
+      instrument.overlays.visible = !seen;
+      if (i === this.endoscope) instrument.group.visible = !seen;
+    });
+    this.cavity.visible = seen;
+    this.scene.shadeByTool(seen && this.endoscope === this.scene.chosen);
+    if (seen) lampPower.value = this.power();
+  }
+
+  /** Power of the lamp for what is seen now, and its distance. */
+  private power(): number {
+    const { x, y, radius } = this.circle;
+    const distances = METERED.map(([a, b]) => this.scene.pick(x + a * radius, y + b * radius)?.distance_m ?? FURTHEST_EXPOSED_M);
+    const middle_m = distances.sort((a, b) => a - b)[Math.floor(METERED.length / 2)];
+    this.metered_m = Math.min(FURTHEST_EXPOSED_M, Math.max(NEAREST_EXPOSED_M, middle_m));
+    return EXPOSURE * 0.1 ** 2 * (this.metered_m / 0.1) ** MADE_UP;
+  }
+
+  private drawOutside(): void {
+    const { renderer, scene, camera, canvas, orbit } = this.scene;
+    const [box, whole] = [this.page.outside.getBoundingClientRect(), canvas.getBoundingClientRect()];
+    const [x, y, width, height] = [box.left - whole.left, whole.bottom - box.bottom, box.width, box.height];
+    if (!(width > 0 && height > 0)) return;
+    this.outsideCamera.copy(camera, false);
+    // From further away, so that it shows the instruments too.
+    this.outsideCamera.position.addScaledVector(viewAxes(orbit).forward, -FURTHER_OUT * orbit.distance_m);
+    this.outsideCamera.updateMatrixWorld();
+    this.outsideCamera.clearViewOffset();
+    this.outsideCamera.aspect = width / height;
+    this.outsideCamera.updateProjectionMatrix();
+    renderer.setScissorTest(true);
+    renderer.setScissor(x, y, width, height);
+    renderer.setViewport(x, y, width, height);
+    renderer.setClearColor(OUTSIDE, 1);
+    renderer.render(scene, this.outsideCamera);
+    renderer.setScissorTest(false);
+    renderer.setViewport(0, 0, this.scene.width, this.scene.height);
+  }
+
+  report(): TheatreReport {
+    const { on, endoscope, smear, circle, camera } = this;
+    const [, up, back] = [0, 1, 2].map((column) => new Vector3().setFromMatrixColumn(camera.matrixWorld, column));
+    const view = { position_m: camera.position.toArray(), forward: back.negate().toArray(), up: up.toArray() };
+    return { on, endoscope, smear, outside: this.showsOutside, circle: { ...circle }, camera: { ...view, field_of_view_rad: (camera.fov * Math.PI) / 180 } };
+  }
+}

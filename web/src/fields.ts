@@ -39,6 +39,12 @@ export function vec3At(fields: Fields, name: string, place: string): Vec3 {
   return [value[0] as number, value[1] as number, value[2] as number];
 }
 
+export function pointsAt(fields: Fields, name: string, place: string): Vec3[] {
+  const value = fields[name];
+  if (!Array.isArray(value)) fail(`${place}.${name} must be an array of points`);
+  return value.map((point, i) => vec3At({ point: point as unknown }, "point", `${place}.${name}[${i}]`));
+}
+
 export function nodeIdsAt(fields: Fields, name: string, place: string): number[] {
   const value = fields[name];
   if (!Array.isArray(value) || !value.every((x) => Number.isInteger(x) && x >= 0)) {

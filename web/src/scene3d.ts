@@ -17,6 +17,7 @@ import { pickTriangle, type Pick } from "./geometry";
 import { Instrument } from "./instrument";
 import { organMaterial } from "./materials";
 import { tissueTexture } from "./noise";
+import { TaskMarks } from "./task_marks";
 import { ThreadMarks } from "./thread_marks";
 import { cameraPosition, FIELD_OF_VIEW_DEG, orbitThatShows, viewAxes, type Orbit } from "./orbit";
 import { Organ, type SurfaceStyle } from "./organ";
@@ -67,6 +68,7 @@ export class Scene3d {
   /** Drawn in place of the view from outside. */
   other: OtherView | null = null;
   readonly contactMarks = new ContactMarks();
+  readonly taskMarks = new TaskMarks();
   readonly scene = new Scene();
   private readonly bleeding = new BleedingMarks();
   private readonly threads = new ThreadMarks();
@@ -95,7 +97,7 @@ export class Scene3d {
     this.renderer.toneMappingExposure = 1.08;
     this.renderer.setClearColor(0x000000, 0);
     this.material = organMaterial(this.tissue);
-    this.scene.add(this.bleeding.group, this.contactMarks.group, this.threads.group);
+    this.scene.add(this.bleeding.group, this.contactMarks.group, this.taskMarks.group, this.threads.group);
     this.camera.up.set(0, 0, 1);
     this.orbit = orbitThatShows(new Vector3(-0.1, -0.1, -0.1), new Vector3(0.1, 0.1, 0.1), 1);
     this.resize();
@@ -179,6 +181,7 @@ export class Scene3d {
     organ.setStyle(this.style);
     organ.showFixed(this.fixedShown);
     this.organs.set(topology.organ, organ);
+    this.taskMarks.setTopology(topology);
     this.scene.add(organ.group);
   }
 
@@ -186,7 +189,9 @@ export class Scene3d {
   show(snapshot: Snapshot): "changed" | "same" | "other_topology" {
     const organ = this.organs.get(snapshot.header.organ);
     if (organ === undefined || organ.topology.version !== snapshot.header.version) return "other_topology";
-    return organ.show(snapshot) ? "changed" : "same";
+    if (!organ.show(snapshot)) return "same";
+    this.taskMarks.follow(organ.positions_m);
+    return "changed";
   }
 
   showTools(header: SnapshotHeader): void {

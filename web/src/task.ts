@@ -1,7 +1,14 @@
 /** The scene's task: what is to be done now, how far it is, the time, and at its end the way to the report. */
-import { fail, fieldsOf, numberAt, stringAt, type Fields } from "./fields";
+import { fail, fieldsOf, numberAt, pointsAt, stringAt, type Fields, type Vec3 } from "./fields";
 
 export type TaskOutcome = "done" | "time_over";
+
+/** Where something is to be done: of the tissue at rest, but for a place in space. */
+export interface TaskMark {
+  readonly kind: "place" | "line" | "space";
+  /** A place, or the ends of a line [m]. */
+  readonly points_m: readonly Vec3[];
+}
 
 export interface TaskStatus {
   readonly type: "task";
@@ -14,6 +21,7 @@ export interface TaskStatus {
   readonly share: number;
   /** Help, when it takes long. */
   readonly hint: string | null;
+  readonly mark: TaskMark | null;
   readonly n_mistakes: number;
   readonly mistake: string | null;
   /** Simulated time at which it began; null before an instrument has moved. */
@@ -28,6 +36,18 @@ function textOrNull(fields: Fields, name: string): string | null {
 
 function numberOrNull(fields: Fields, name: string): number | null {
   return fields[name] === null ? null : numberAt(fields, name, "task", 0);
+}
+
+function decodeMark(value: unknown): TaskMark | null {
+  if (value === null) return null;
+  const fields = fieldsOf(value, "task.mark");
+  const kind = stringAt(fields, "kind", "task.mark");
+  if (kind !== "place" && kind !== "line" && kind !== "space") {
+    fail(`task.mark.kind is "${kind.slice(0, 40)}"; it may be place, line or space`);
+  }
+  const points_m = pointsAt(fields, "points_m", "task.mark");
+  if (points_m.length !== (kind === "line" ? 2 : 1)) fail(`task.mark has ${points_m.length} points; a line has two, a place one`);
+  return { kind, points_m };
 }
 
 /** @throws ProtocolError naming the field that is wrong. */
@@ -45,6 +65,7 @@ export function decodeTask(message: unknown): TaskStatus {
     n_stages: numberAt(fields, "n_stages", "task", 1),
     share: numberAt(fields, "share", "task", 0),
     hint: textOrNull(fields, "hint"),
+    mark: decodeMark(fields.mark),
     n_mistakes: numberAt(fields, "n_mistakes", "task", 0),
     mistake: textOrNull(fields, "mistake"),
     began_s: numberOrNull(fields, "began_s"),

@@ -90,7 +90,10 @@ export class Viewer {
       topology: (topology) => this.setTopology(topology),
       snapshot: (snapshot, bytes) => this.receive(snapshot, bytes),
       ...this.news.events,
-      task: (task) => this.task.show(task),
+      task: (task) => {
+        this.task.show(task);
+        if (this.scene.taskMarks.show(task.mark, this.scene.organs.get(0)?.positions_m ?? null)) this.redraw();
+      },
       error: (message) => this.messages.error(message),
       notice: (message) => this.messages.notice(message),
     });

@@ -10,6 +10,7 @@ const STATUS: TaskStatus = {
   n_stages: 2,
   share: 0.25,
   hint: null,
+  mark: { kind: "line", points_m: [[0, -0.05, 0], [0.05, -0.05, 0]] },
   n_mistakes: 0,
   mistake: null,
   began_s: null,
@@ -27,6 +28,7 @@ describe("the task's message", () => {
   it("is refused with the field that is wrong", () => {
     expect(() => decodeText(JSON.stringify({ ...STATUS, outcome: "won" }))).toThrow(/task.outcome is "won"; it may be done/);
     expect(() => decodeText(JSON.stringify({ ...STATUS, stage: 3 }))).toThrow(/task.stage must be a string/);
+    expect(() => decodeText(JSON.stringify({ ...STATUS, mark: { kind: "place", points_m: [] } }))).toThrow(/a line has two, a place one/);
     expect(() => decodeText(JSON.stringify({ ...STATUS, n_stages: 0 }))).toThrow(/at least 1/);
   });
 });

@@ -3,6 +3,7 @@
 use crate::served::Served;
 use crate::{build_program, ct, images, program, root, run, run_in, setup};
 use anyhow::Context;
+use std::ffi::OsStr;
 use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -193,7 +194,8 @@ fn browser(scene: &Path) -> anyhow::Result<()> {
             .context("cannot start npm")?;
         anyhow::ensure!(status.success(), "the browser test failed ({status}): {tests} {}", more.join(" "));
     }
-    theatre(scene, &chromium)
+    theatre(scene, &chromium)?;
+    tasks(&chromium)
 }
 
 /// The view through an endoscope, of the same liver in a scene of its own.
@@ -203,14 +205,24 @@ fn theatre(demo_scene: &Path, chromium: &Path) -> anyhow::Result<()> {
         .with_context(|| scene.display().to_string())?;
     let server = Served::serve(&program(), &scene, &[])?;
     let address = format!("http://{}", server.says_after("http://", SERVER_START)?);
-    println!("$ npm run test:theatre (GLISSON_THEATRE_URL={address})");
+    browser_test("test:theatre", chromium, "GLISSON_THEATRE_URL", address.as_ref())
+}
+
+/// The tasks that come with the program, each done by its demonstration in front of a page.
+fn tasks(chromium: &Path) -> anyhow::Result<()> {
+    browser_test("test:tasks", chromium, "GLISSON_PROGRAM", program().as_os_str())
+}
+
+/// Runs a browser test that needs to know one thing.
+fn browser_test(tests: &str, chromium: &Path, variable: &str, value: &OsStr) -> anyhow::Result<()> {
+    println!("$ npm run {tests} ({variable}={})", value.display());
     let status = Command::new("npm")
-        .args(["run", "test:theatre"])
+        .args(["run", tests])
         .current_dir(root().join("web"))
-        .env("GLISSON_THEATRE_URL", &address)
+        .env(variable, value)
         .env("CHROMIUM", chromium)
         .status()
         .context("cannot start npm")?;
-    anyhow::ensure!(status.success(), "the browser test failed ({status}): test:theatre");
+    anyhow::ensure!(status.success(), "the browser test failed ({status}): {tests}");
     Ok(())
 }

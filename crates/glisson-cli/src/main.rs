@@ -4,7 +4,6 @@
 //! simulation broke by a fault of the program; its session is kept.
 #![allow(clippy::print_stdout, reason = "a command-line program answers on standard output")]
 
-mod tasks;
 mod text_file;
 mod demo;
 mod commands;

@@ -1,6 +1,6 @@
 //! What the user should know, in words; and what went wrong in steps: told when it begins, not in every step.
 
-use glisson::model::ModelReport;
+use glisson::model::{LevelOfDetail, ModelReport};
 use glisson::world::StepReport;
 
 /// Incidents of one run beyond which no more are told: a screen full of them helps nobody.
@@ -17,6 +17,13 @@ pub(crate) enum Once {
     MergedFaces(usize),
     /// Time passes more slowly, though as little as possible is computed.
     TimeIsSlow,
+}
+
+impl Once {
+    /// Whether something is wrong: a slow machine is no fault.
+    fn is_problem(self) -> bool {
+        self != Self::TimeIsSlow
+    }
 }
 
 /// What the user should know.
@@ -49,11 +56,11 @@ impl Notices {
         self.n_told += 1;
     }
 
-    /// Tells a problem if nothing of the kind was told.
-    pub(crate) fn tell_once(&mut self, kind: Once, problem: impl FnOnce() -> String) {
+    /// Tells it if nothing of the kind was told.
+    pub(crate) fn tell_once(&mut self, kind: Once, text: impl FnOnce() -> String) {
         if !self.once.contains(&kind) {
             self.once.push(kind);
-            self.tell(Notice { text: problem(), is_problem: true });
+            self.tell(Notice { text: text(), is_problem: kind.is_problem() });
         }
     }
 
@@ -76,11 +83,11 @@ pub(crate) struct Incidents {
 }
 
 impl Incidents {
-    /// What began in this step.
-    pub(crate) fn of_step(&mut self, report: &StepReport) -> Vec<String> {
+    /// What began in this step, computed with this effort: what less effort brings with it was meant to happen.
+    pub(crate) fn of_step(&mut self, report: &StepReport, effort: LevelOfDetail) -> Vec<Notice> {
         let (last, now) = (self.last, report.model);
         self.last = now;
-        let mut notices = Vec::new();
+        let mut notices: Vec<String> = Vec::new();
         if now.n_quarantined_tets > 0 && last.n_quarantined_tets == 0 {
             let first = now.first_quarantined.map_or(String::new(), |tet| format!(" (the first: {tet})"));
             notices.push(format!("{} tetrahedra are inverted or not finite{first}", now.n_quarantined_tets));
@@ -95,19 +102,28 @@ impl Incidents {
                 "{n} nodes were made heavier: the mesh allows no step this long after the edit"
             ));
         }
+        if now.n_ignored_constraints > 0 && last.n_ignored_constraints == 0 {
+            let n = now.n_ignored_constraints;
+            notices.push(format!("{n} constraints were left out: on fixed or loose nodes, or not finite"));
+        }
+        let n_that_are_problems = notices.len();
         if now.energy_was_limited && !last.energy_was_limited {
             notices.push("the motion gained more energy than the outside gave, and was slowed down".into());
         }
         if now.missed_tolerance && !last.missed_tolerance {
             notices.push("the step ended before its residual was small enough".into());
         }
-        if now.n_ignored_constraints > 0 && last.n_ignored_constraints == 0 {
-            let n = now.n_ignored_constraints;
-            notices.push(format!("{n} constraints were left out: on fixed or loose nodes, or not finite"));
-        }
         notices.truncate(MOST_INCIDENTS - self.n_told);
         self.n_told += notices.len();
-        notices.into_iter().map(|notice| format!("step {}: {notice}", report.step)).collect()
+        let of_effort = |nth: usize| nth >= n_that_are_problems && effort < LevelOfDetail::Full;
+        let told = |(nth, text): (usize, String)| match of_effort(nth) {
+            true => Notice {
+                text: format!("step {}: {text}: it computes with {} effort", report.step, effort.name()),
+                is_problem: false,
+            },
+            false => Notice { text: format!("step {}: {text}", report.step), is_problem: true },
+        };
+        notices.into_iter().enumerate().map(told).collect()
     }
 }
 
@@ -143,7 +159,11 @@ mod tests {
             first_quarantined: Some(TetId(7)),
             ..ModelReport::default()
         };
-        let mut told = |step, model| incidents.of_step(&StepReport { step, model, ..StepReport::default() });
+        let mut told = |step, model| {
+            let report = StepReport { step, model, ..StepReport::default() };
+            let notices = incidents.of_step(&report, LevelOfDetail::Full);
+            notices.into_iter().map(|notice| notice.text).collect::<Vec<_>>()
+        };
         let first = told(3, inverted);
         assert!(first.len() == 1 && first[0].starts_with("step 3: 2 tetrahedra") && first[0].contains('7'));
         assert!(told(4, inverted).is_empty());
@@ -153,5 +173,16 @@ mod tests {
             told(step, if step % 2 == 0 { inverted } else { ModelReport::default() });
         }
         assert!(told(999, inverted).is_empty());
+    }
+
+    #[test]
+    fn what_less_effort_brings_with_it_is_no_problem() {
+        let missed = ModelReport { missed_tolerance: true, n_recovered_nodes: 1, ..ModelReport::default() };
+        let report = StepReport { step: 9, model: missed, ..StepReport::default() };
+        let of = |effort| Incidents::default().of_step(&report, effort);
+        assert!(of(LevelOfDetail::Full).iter().all(|notice| notice.is_problem));
+        let [nodes, tolerance] = &of(LevelOfDetail::Least)[..] else { panic!("two notices") };
+        assert!(nodes.is_problem && !tolerance.is_problem);
+        assert!(tolerance.text.ends_with("with least effort"), "{}", tolerance.text);
     }
 }

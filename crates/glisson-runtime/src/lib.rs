@@ -35,6 +35,7 @@ pub mod live;
 pub mod control;
 pub mod steering;
 pub mod devices;
+pub mod tasks;
 
 pub use incidents::Notice;
 pub use simulation::{Broken, OpenScene, Simulation};

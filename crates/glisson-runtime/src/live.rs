@@ -266,7 +266,8 @@ impl Live {
         let matters = self.simulation.set_level_of_detail(effort)?;
         let (name, is_less) = (effort.name(), effort < before);
         if matters && is_less {
-            self.simulation.tell(format!("the simulation is late: it computes with {name} effort now"));
+            // What was meant to happen then: no fault of anybody.
+            self.simulation.tell_news(format!("the simulation is late: it computes with {name} effort now"));
         } else if matters {
             self.simulation
                 .tell_news(format!("the simulation keeps pace again: it computes with {name} effort"));

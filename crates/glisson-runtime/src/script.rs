@@ -1,5 +1,6 @@
 //! Operations that lead the instruments by what they see of the organ, in the viewer and without a window alike.
 
+use glisson::scene::Scene;
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::World;
 
@@ -43,4 +44,49 @@ pub trait Script: Send {
 /// Blood that the organ loses now [ml/min].
 pub fn bleeding_ml_per_min(world: &World) -> f64 {
     world.vessels().map_or(0.0, |vessels| 60e6 * vessels.bleeding_m3_per_s())
+}
+
+/// Leads the instruments along the paths of their scene, with the clips that are set on the way.
+pub struct PathScript {
+    scene: Scene,
+    /// Step of the paths that comes next, their last, and steps to wait before the first.
+    step: u64,
+    last_step: u64,
+    n_waiting: u64,
+}
+
+impl PathScript {
+    /// After `waits_s` of simulated time at home; none where the scene has no paths.
+    pub fn new(scene: Scene, waits_s: f64) -> Option<Self> {
+        let time_step_s = scene.world.time_step_s;
+        let last_step = (scene.end_of_paths_s()? / time_step_s).ceil() as u64;
+        Some(Self { scene, step: 0, last_step, n_waiting: (waits_s / time_step_s).round() as u64 })
+    }
+}
+
+impl Script for PathScript {
+    fn lead(&mut self, _: &World) -> Option<Lead> {
+        let time_step_s = self.scene.world.time_step_s;
+        if self.n_waiting > 0 {
+            self.n_waiting -= 1;
+            return Some(Lead { tools: self.scene.input_at(0.0).tools, clips: None });
+        }
+        if self.step == self.last_step {
+            return None;
+        }
+        let [from_s, to_s] = [self.step, self.step + 1].map(|step| step as f64 * time_step_s);
+        self.step += 1;
+        let clips = self.scene.clips_between(from_s, to_s).next();
+        Some(Lead { tools: self.scene.input_at(to_s).tools, clips })
+    }
+
+    fn see(&mut self, _: &Clip) {}
+
+    fn progress(&self) -> f64 {
+        self.step as f64 / self.last_step.max(1) as f64
+    }
+
+    fn result(&self, _: &World) -> anyhow::Result<String> {
+        Ok("the instruments are at the ends of their paths".into())
+    }
 }

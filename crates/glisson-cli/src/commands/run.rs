@@ -65,7 +65,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 /// Makes step number `step` (from 1) along the scene's paths, with the clips that are set on the way.
-pub(super) fn follow_paths(
+fn follow_paths(
     simulation: &mut Simulation,
     scene: &Scene,
     step: u64,

@@ -1,17 +1,18 @@
 //! `glisson task`.
 
-use super::run::follow_paths;
 use super::serve::Address;
 use super::task_text::task_text;
-use crate::tasks::{TASKS, task_named};
 use crate::text_file::write_text;
 use anyhow::{Context, bail};
 use glisson::scene::Scene;
 use glisson::training::task::{Outcome, TaskRun};
+use glisson_runtime::script::PathScript;
+use glisson_runtime::tasks::{TASKS, task_named};
 use glisson_runtime::{OpenScene, Simulation};
 use glisson_view::report::task_report;
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 /// Tasks to train with: what there is, doing one, checking one of your own.
 ///
@@ -41,6 +42,9 @@ enum Verb {
     },
 }
 
+/// A demonstration in the browser begins so late that one sees its beginning [s]: a choice.
+const DEMONSTRATION_WAITS_S: f64 = 3.0;
+
 #[derive(Debug, clap::Args)]
 struct Run {
     /// A name of `glisson task list`, or a scene file with a [task]
@@ -48,6 +52,9 @@ struct Run {
     /// Follow the paths of the scene's instruments without a window; exit code 1 if the task is not passed
     #[arg(long)]
     headless: bool,
+    /// In the browser: the demonstration leads the instruments, until you take one into the hand
+    #[arg(long, conflicts_with = "headless")]
+    demonstrate: bool,
     /// Folder for the session, and without a window the report and its numbers
     #[arg(long, default_value = "out/tasks", value_name = "DIR")]
     out: PathBuf,
@@ -119,9 +126,12 @@ fn open(task: &str, n_threads: usize) -> anyhow::Result<OpenScene> {
     Ok(source)
 }
 
-/// What the files of a task are called.
-fn stem(task: &str) -> String {
-    PathBuf::from(task).file_stem().map_or_else(|| "task".into(), |stem| stem.to_string_lossy().into_owned())
+impl Run {
+    /// A file of the task in the folder, by its ending.
+    fn file(&self, ending: &str) -> PathBuf {
+        let stem = Path::new(&self.task).file_stem().map_or("task".into(), |stem| stem.to_string_lossy());
+        self.out.join(format!("{stem}{ending}"))
+    }
 }
 
 fn check(task: &str) -> anyhow::Result<()> {
@@ -153,36 +163,41 @@ fn do_task(args: &Run) -> anyhow::Result<()> {
     // A taken port is better known before the work than after it.
     let listener = if args.headless { None } else { Some(args.address.bind()?) };
     let source = open(&args.task, usize::from(args.threads))?;
-    let scene = source.scene.clone();
+    let mut script = None;
+    if args.headless || args.demonstrate {
+        let waits_s = if args.headless { 0.0 } else { DEMONSTRATION_WAITS_S };
+        let paths = PathScript::new(source.scene.clone(), waits_s);
+        let none = "the task has no demonstration: its instruments have no [[tool.path]]";
+        script = Some(paths.with_context(|| format!("{}: {none}", source.origin))?);
+    }
     std::fs::create_dir_all(&args.out)
         .with_context(|| format!("{}: cannot make the folder", args.out.display()))?;
-    let stem = stem(&args.task);
-    let file = |ending: &str| args.out.join(format!("{stem}{ending}"));
-    let mut simulation = Simulation::open(source, Some(&file(".jsonl")))?;
-    if let Some(listener) = listener {
-        return args.address.serve(simulation, listener);
+    let mut simulation = Simulation::open(source, Some(&args.file(".jsonl")))?;
+    if let Some(script) = script {
+        simulation.follow_script(Box::new(script));
     }
-    let end_s = scene.end_of_paths_s().with_context(|| {
-        format!(
-            "{}: nothing does the task without a window: its instruments have no [[tool.path]]",
-            args.task
-        )
-    })?;
+    match listener {
+        Some(listener) => args.address.serve(simulation, listener),
+        None => follow_demonstration(args, simulation),
+    }
+}
+
+/// Follows the demonstration to its end, and writes what came of it.
+fn follow_demonstration(args: &Run, mut simulation: Simulation) -> anyhow::Result<()> {
     let is_over = |simulation: &Simulation| simulation.task().is_some_and(|task| task.outcome().is_some());
-    let n_steps = (end_s / scene.world.time_step_s).ceil() as u64;
-    let begin = std::time::Instant::now();
-    let mut steps = 0;
-    while steps < n_steps && !is_over(&simulation) {
+    let (begin, mut steps) = (Instant::now(), 0_u64);
+    while !is_over(&simulation) && !simulation.script_is_over() {
+        let input = simulation.scripted_input().context("the demonstration goes on")?;
+        simulation.advance(&input)?;
         steps += 1;
-        follow_paths(&mut simulation, &scene, steps)?;
     }
-    let elapsed_s = begin.elapsed().as_secs_f64();
-    let real_time_factor = steps as f64 * scene.world.time_step_s / elapsed_s;
+    let simulated_s = steps as f64 * simulation.world().spec().time_step_s;
+    let real_time_factor = simulated_s / begin.elapsed().as_secs_f64();
     let record = simulation.task().map(TaskRun::record).context("the scene has a task")?;
     let notices: Vec<String> = simulation.notices().iter().map(|notice| notice.text.clone()).collect();
     let state_hash = simulation.finish()?;
     let result = record.result();
-    let (report, numbers) = (file(".html"), file(".json"));
+    let (report, numbers) = (args.file(".html"), args.file(".json"));
     write_text(&report, &task_report(&record, None))?;
     let whole = json!({
         "result": &result, "steps": steps, "real_time_factor": real_time_factor, "state_hash": state_hash.to_string(),
@@ -195,12 +210,8 @@ fn do_task(args: &Run) -> anyhow::Result<()> {
         print!("{}", task_text(&result));
         println!("real-time factor {real_time_factor:.1}");
         println!("state hash       {state_hash}");
-        println!(
-            "written          {}, {}, {}",
-            file(".jsonl").display(),
-            numbers.display(),
-            report.display()
-        );
+        let session = args.file(".jsonl");
+        println!("written          {}, {}, {}", session.display(), numbers.display(), report.display());
     }
     match result.outcome {
         Some(Outcome::Done) if result.is_passed => Ok(()),

@@ -34,6 +34,7 @@ mod rotation;
 mod many_bodies;
 mod self_contact;
 mod sutures;
+mod tasks;
 mod tissue;
 pub mod touch_truth;
 pub mod rough_hands;
@@ -255,6 +256,7 @@ pub const GROUPS: &[Group] = &[
     Group::new("hybrid_condensed", "Pre-computed and dynamic zones, exactly coupled: error against processor time.", hybrid_condensed::experiments),
     Group::new("image", "From the image to the organ.", image::experiments),
     Group::new("organs", "Six organs in one mesh: interfaces, volumes, angles, a small tumour, time up to a million tetrahedra.", organs::experiments),
+    Group::new("tasks", "The tasks that come with the program: demonstrations, careless players, and faults that are made on purpose.", tasks::experiments),
 ];
 
 /// Groups of some minutes each, which run only when they are asked for.

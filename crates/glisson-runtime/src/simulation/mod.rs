@@ -185,7 +185,10 @@ impl Simulation {
         if let Some(task) = &mut self.task {
             task.after_step(&self.world);
         }
-        self.incidents.of_step(&report).into_iter().for_each(|incident| self.tell(incident));
+        let effort = self.world.effort();
+        for notice in self.incidents.of_step(&report, effort) {
+            self.notices.tell(notice);
+        }
         let is_asked = report.model.wants_recomputation && self.builder.is_none();
         if is_asked && std::mem::take(&mut self.orders_recomputations) {
             let at_step = report.step.saturating_add(self.recomputation_steps());

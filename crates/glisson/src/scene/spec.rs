@@ -156,8 +156,7 @@ impl Scene {
             sutures: read_sutures(sewn)?,
             tools: scripted,
         };
-        let names: Vec<String> = world.tools.iter().map(|tool| tool.name.clone()).collect();
-        let task = task.map(|task| read_task(task, &names)).transpose()?;
+        let task = task.map(|task| read_task(task, &world.tools)).transpose()?;
         let (most_parts, text) = (simulation.most_parts, text.to_string());
         Ok(Self { world, organ, bodies, attachments, most_parts, paths, tool_shapes, task, text })
     }

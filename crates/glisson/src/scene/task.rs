@@ -3,6 +3,7 @@
 use super::reader::{SceneError, Section, Value};
 use crate::math::DVec3;
 use crate::text::did_you_mean;
+use crate::tool::Tool;
 use crate::units::Dimension;
 
 /// A task as a scene says it.
@@ -116,6 +117,17 @@ pub enum GoalSource {
         /// The other [m].
         to_m: DVec3,
     },
+    /// An endoscope sees a place near the middle of its picture.
+    See {
+        /// Which instrument.
+        tool: usize,
+        /// The place [m].
+        point_m: DVec3,
+        /// How far from the middle of the picture at most [rad].
+        within_rad: f64,
+        /// How far away at most [m]; any distance that is lit when absent.
+        nearer_than_m: Option<f64>,
+    },
     /// Clips are set.
     Clip {
         /// How many.
@@ -139,7 +151,7 @@ impl GoalSource {
 struct GoalRow {
     /// Its key in a stage.
     key: &'static str,
-    read: fn(&mut Section<'_>, &[String]) -> Result<GoalSource, SceneError>,
+    read: fn(&mut Section<'_>, &[Tool]) -> Result<GoalSource, SceneError>,
 }
 
 /// All kinds of goals, in the order of docs/tasks.md.
@@ -151,12 +163,12 @@ const GOALS: &[GoalRow] = &[
     GoalRow { key: "lift", read: read_lift },
     GoalRow { key: "cut", read: read_cut },
     GoalRow { key: "part", read: read_part },
+    GoalRow { key: "see", read: read_see },
     GoalRow { key: "clip", read: read_clip },
     GoalRow { key: "bleed", read: read_bleed },
 ];
 
-const GOAL_EXAMPLE: &str =
-    "touch = { tool = \"probe\" }; exactly one of reach, touch, mark, grasp, lift, cut, part, clip, bleed";
+const GOAL_EXAMPLE: &str = "touch = { tool = \"probe\" }; exactly one of reach, touch, mark, grasp, lift, cut, part, see, clip, bleed";
 const POINT: &str = "point = [\"0 mm\", \"-50 mm\", \"0 mm\"]";
 const WITHIN: &str = "within = \"5 mm\"";
 
@@ -164,13 +176,15 @@ const WITHIN: &str = "within = \"5 mm\"";
 const HINT_AFTER_S: f64 = 30.0;
 /// Share of a line that has to be cut where a stage says nothing: a choice.
 const SHARE_OF_LINE: f64 = 0.9;
+/// A place is near the middle of an endoscope's picture within this, where a stage says nothing [rad]: 10 degrees, a choice.
+const NEAR_MIDDLE_RAD: f64 = std::f64::consts::PI / 18.0;
 /// Stages of a task at most: a choice.
 const MOST_STAGES: usize = 50;
 /// Clips, mistakes and slips are counted up to this.
 const MOST: u64 = 1000;
 
 /// The task of a scene with these instruments.
-pub(super) fn read_task(mut section: Section<'_>, tools: &[String]) -> Result<TaskSource, SceneError> {
+pub(super) fn read_task(mut section: Section<'_>, tools: &[Tool]) -> Result<TaskSource, SceneError> {
     let title = section.string("title")?.ok_or_else(|| section.missing("title", "title = \"Palpation\""))?.0;
     let about = section.string("about")?.map(|about| about.0).unwrap_or_default();
     let time_limit_s = section.positive("time_limit", Dimension::Time)?;
@@ -202,7 +216,7 @@ fn read_gate(mut section: Section<'_>) -> Result<GateSource, SceneError> {
     Ok(gate)
 }
 
-fn read_stage(mut section: Section<'_>, tools: &[String]) -> Result<StageSource, SceneError> {
+fn read_stage(mut section: Section<'_>, tools: &[Tool]) -> Result<StageSource, SceneError> {
     let title =
         section.string("title")?.ok_or_else(|| section.missing("title", "title = \"Touch the liver\""))?;
     let hint = section.string("hint")?.map(|hint| hint.0);
@@ -224,12 +238,12 @@ fn read_stage(mut section: Section<'_>, tools: &[String]) -> Result<StageSource,
 }
 
 /// The instrument of a goal, by its name; the only one when there is one.
-fn read_tool(table: &mut Section<'_>, tools: &[String]) -> Result<usize, SceneError> {
+fn read_tool(table: &mut Section<'_>, tools: &[Tool]) -> Result<usize, SceneError> {
     match table.string("tool")? {
         None if tools.len() == 1 => Ok(0),
         None => Err(table.missing("tool", "tool = \"grasper\", the name of an instrument")),
-        Some((name, at)) => tools.iter().position(|tool| *tool == name).ok_or_else(|| {
-            let names: Vec<&str> = tools.iter().map(String::as_str).collect();
+        Some((name, at)) => tools.iter().position(|tool| tool.name == name).ok_or_else(|| {
+            let names: Vec<&str> = tools.iter().map(|tool| tool.name.as_str()).collect();
             let allowed = format!("{}{}", names.join(", "), did_you_mean(&name, &names));
             table.wrong_value(at, "tool", format!("\"{name}\""), &allowed)
         }),
@@ -248,34 +262,34 @@ fn read_near(table: &mut Section<'_>) -> Result<Option<(DVec3, f64)>, SceneError
     }
 }
 
-fn read_reach(table: &mut Section<'_>, tools: &[String]) -> Result<GoalSource, SceneError> {
+fn read_reach(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
     let tool = read_tool(table, tools)?;
     let point_m = table.required_point("point", POINT)?;
     Ok(GoalSource::Reach { tool, point_m, within_m: table.required_length("within", WITHIN)? })
 }
 
-fn read_touch(table: &mut Section<'_>, tools: &[String]) -> Result<GoalSource, SceneError> {
+fn read_touch(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
     Ok(GoalSource::Touch { tool: read_tool(table, tools)?, near_m: read_near(table)? })
 }
 
-fn read_mark(table: &mut Section<'_>, tools: &[String]) -> Result<GoalSource, SceneError> {
+fn read_mark(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
     let tool = read_tool(table, tools)?;
     let near_m = table.required_point("near", "near = [\"0 mm\", \"-50 mm\", \"0 mm\"]")?;
     Ok(GoalSource::Mark { tool, near_m, within_m: table.required_length("within", WITHIN)? })
 }
 
-fn read_grasp(table: &mut Section<'_>, tools: &[String]) -> Result<GoalSource, SceneError> {
+fn read_grasp(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
     Ok(GoalSource::Grasp { tool: read_tool(table, tools)?, near_m: read_near(table)? })
 }
 
-fn read_lift(table: &mut Section<'_>, tools: &[String]) -> Result<GoalSource, SceneError> {
+fn read_lift(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
     let tool = read_tool(table, tools)?;
     let point_m = table.required_point("point", POINT)?;
     let by_m = table.required_length("by", "by = \"20 mm\"")?;
     Ok(GoalSource::Lift { tool, point_m, by_m, direction: table.direction("direction")? })
 }
 
-fn read_cut(table: &mut Section<'_>, _: &[String]) -> Result<GoalSource, SceneError> {
+fn read_cut(table: &mut Section<'_>, _: &[Tool]) -> Result<GoalSource, SceneError> {
     let (from_m, to_m) = read_ends(table)?;
     let within_m = table.required_length("within", WITHIN)?;
     let share = match table.number("share")? {
@@ -290,7 +304,7 @@ fn wrong_share(table: &Section<'_>, share: f64, at: Value<'_>) -> SceneError {
     table.wrong_value(at, "share", share.to_string(), "more than 0, at most 1")
 }
 
-fn read_part(table: &mut Section<'_>, _: &[String]) -> Result<GoalSource, SceneError> {
+fn read_part(table: &mut Section<'_>, _: &[Tool]) -> Result<GoalSource, SceneError> {
     let (from_m, to_m) = read_ends(table)?;
     Ok(GoalSource::Part { from_m, to_m })
 }
@@ -304,12 +318,24 @@ fn read_ends(table: &mut Section<'_>) -> Result<(DVec3, DVec3), SceneError> {
     Ok((from_m, to_m))
 }
 
-fn read_clip(table: &mut Section<'_>, _: &[String]) -> Result<GoalSource, SceneError> {
+fn read_see(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
+    let tool = read_tool(table, tools)?;
+    if tools[tool].kind.optics().is_none() {
+        let found = format!("with the {}", tools[tool].kind.name());
+        return Err(table.wrong_table("see", found, "an instrument of the kind endoscope".into()));
+    }
+    let point_m = table.required_point("point", POINT)?;
+    let within_rad = table.positive("within", Dimension::Angle)?.unwrap_or(NEAR_MIDDLE_RAD);
+    let nearer_than_m = table.positive("nearer_than", Dimension::Length)?;
+    Ok(GoalSource::See { tool, point_m, within_rad, nearer_than_m })
+}
+
+fn read_clip(table: &mut Section<'_>, _: &[Tool]) -> Result<GoalSource, SceneError> {
     let n_clips = table.whole_number("count", 1..=MOST)?;
     Ok(GoalSource::Clip { n_clips: n_clips.map_or(1, |n| n as u32) })
 }
 
-fn read_bleed(table: &mut Section<'_>, _: &[String]) -> Result<GoalSource, SceneError> {
+fn read_bleed(table: &mut Section<'_>, _: &[Tool]) -> Result<GoalSource, SceneError> {
     let below = table.positive("below", Dimension::VolumeFlow)?;
     let below_m3_per_s = below.ok_or_else(|| table.missing("below", "below = \"1 ml/min\""))?;
     Ok(GoalSource::Bleed { below_m3_per_s })

@@ -52,14 +52,18 @@ impl Eye {
         }
     }
 
+    /// Angle between the direction of view and that to a point [m], 0 to pi [rad].
+    pub fn off_middle_rad(&self, point_in_world_m: DVec3) -> f64 {
+        let to_point_m = point_in_world_m - self.position_in_world_m;
+        libm::atan2(to_point_m.cross(self.forward_in_world).length(), to_point_m.dot(self.forward_in_world))
+    }
+
     /// Whether a point [m] lies in the cone that is seen, no further away than [`SEEN_UP_TO_M`]. Nothing hides it.
     pub fn sees(&self, point_in_world_m: DVec3) -> bool {
-        let to_point_m = point_in_world_m - self.position_in_world_m;
-        let ahead_m = to_point_m.dot(self.forward_in_world);
-        let beside_m = to_point_m.cross(self.forward_in_world).length();
-        ahead_m > 0.0
-            && libm::atan2(beside_m, ahead_m) <= 0.5 * self.field_of_view_rad
-            && to_point_m.length() <= SEEN_UP_TO_M
+        let away_m = point_in_world_m.distance(self.position_in_world_m);
+        away_m > 0.0
+            && away_m <= SEEN_UP_TO_M
+            && self.off_middle_rad(point_in_world_m) <= 0.5 * self.field_of_view_rad
     }
 }
 

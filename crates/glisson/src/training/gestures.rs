@@ -1,4 +1,4 @@
-//! What an instrument did, one gesture after the other: moved, touched, grasped, pulled, cut, released.
+//! What an instrument did, one gesture after the other: rested, moved, pushed, grasped, pulled, cut.
 
 use super::motion::REST_M_PER_S;
 use super::trace::{ToolTrace, Trace};
@@ -23,8 +23,8 @@ pub enum GestureKind {
     Grasp,
     /// They hold it, and have drawn it away.
     Pull,
-    /// It touches tissue with the trigger pressed.
-    Activate,
+    /// It divides tissue or takes it out.
+    Cut,
 }
 
 impl GestureKind {
@@ -36,7 +36,7 @@ impl GestureKind {
             Self::Push => "push",
             Self::Grasp => "grasp",
             Self::Pull => "pull",
-            Self::Activate => "activate",
+            Self::Cut => "cut",
         }
     }
 }
@@ -63,7 +63,7 @@ pub fn gestures(trace: &Trace, tool: &ToolTrace) -> Vec<Gesture> {
         let kind = match closed_at {
             Some(closed_m) if tip_m.distance(closed_m) > PULLED_M => GestureKind::Pull,
             Some(_) => GestureKind::Grasp,
-            None if tool.touches[at] && tool.poses[at].is_triggered() => GestureKind::Activate,
+            None if cuts(trace, tool, at) => GestureKind::Cut,
             None if tool.touches[at] => GestureKind::Push,
             None if speed_m_per_s(trace, tool, at) >= REST_M_PER_S => GestureKind::Move,
             None => GestureKind::Rest,
@@ -74,6 +74,15 @@ pub fn gestures(trace: &Trace, tool: &ToolTrace) -> Vec<Gesture> {
         }
     }
     merged(found, shortest)
+}
+
+/// Whether tissue was divided since the sample before, and this instrument may have done it: it is switched on, or its jaws part what
+/// they close on.
+pub(super) fn cuts(trace: &Trace, tool: &ToolTrace, at: usize) -> bool {
+    let before = at.saturating_sub(1);
+    let grew = |values: &[f64]| values[at] > values[before];
+    (grew(&trace.cut_area_m2) || grew(&trace.removed_m3))
+        && (tool.poses[at].is_triggered() || tool.poses[at].jaw_opening < tool.poses[before].jaw_opening)
 }
 
 fn speed_m_per_s(trace: &Trace, tool: &ToolTrace, at: usize) -> f64 {

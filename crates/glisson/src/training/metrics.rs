@@ -1,8 +1,9 @@
 //! The metrics of an assessment: one row each, with its formula, unit, source, and what is known of its validity.
 
-use super::gestures::{GestureKind, gestures, slips};
+use super::gestures::{GestureKind, cuts, gestures, slips};
 use super::motion::{
-    REST_M_PER_S, angular_path_rad, depth_path_m, economy, movements, path_length_m, speeds_m_per_s,
+    REST_M_PER_S, angular_path_rad, depth_path_m, economy, free_ways, movements, path_length_m,
+    speeds_m_per_s,
 };
 use super::smoothness::{log_dimensionless_jerk, sparc};
 use super::trace::{ToolTrace, Trace};
@@ -57,6 +58,7 @@ struct Hand<'a> {
     shafts: Vec<DVec3>,
     speeds_m_per_s: Vec<f64>,
     movements: Vec<Range<usize>>,
+    free_ways: Vec<Range<usize>>,
 }
 
 impl<'a> Measured<'a> {
@@ -66,7 +68,10 @@ impl<'a> Measured<'a> {
             let tips_m = tool.tips_m();
             let speeds_m_per_s = speeds_m_per_s(&tips_m, trace.period_s);
             let movements = movements(&speeds_m_per_s, trace.period_s);
-            Hand { tool, tips_m, shafts: tool.shafts(), speeds_m_per_s, movements }
+            let works = |at: usize| tool.touches[at] || cuts(trace, tool, at);
+            let works: Vec<bool> = (0..trace.n_samples()).map(works).collect();
+            let free_ways = free_ways(&speeds_m_per_s, &works, trace.period_s);
+            Hand { tool, tips_m, shafts: tool.shafts(), speeds_m_per_s, movements, free_ways }
         };
         Self { trace, threshold_n, hands: trace.tools.iter().map(hand).collect() }
     }
@@ -170,17 +175,17 @@ pub const METRICS: &[Metric] = &[
         title: "Economy of motion",
         unit: "",
         better: Better::More,
-        formula: "straight distances from the beginnings to the ends of all movements over their lengths",
+        formula: "straight distances from the beginnings to the ends of all free ways, from one touch or cut to the next, over their lengths",
         source: OURS,
         validity: Validity::None,
-        value: Formula::Hand(|_, hand| economy(&hand.tips_m, &hand.movements)),
+        value: Formula::Hand(|_, hand| economy(&hand.tips_m, &hand.free_ways)),
     },
     Metric {
         name: "smoothness_sparc",
         title: "Smoothness (SPARC)",
         unit: "",
         better: Better::More,
-        formula: "spectral arc length of the tip's speed, mean of all movements by their time",
+        formula: "spectral arc length of the tip's speed on each free way, from one touch or cut to the next, mean by their times",
         source: BALASUBRAMANIAN,
         validity: Validity::Defined,
         value: Formula::Hand(|m, hand| smoothness(m, hand, sparc)),
@@ -190,7 +195,7 @@ pub const METRICS: &[Metric] = &[
         title: "Smoothness (log dimensionless jerk)",
         unit: "",
         better: Better::More,
-        formula: "log dimensionless jerk of the tip's speed, mean of all movements by their time",
+        formula: "log dimensionless jerk of the tip's speed on each free way, from one touch or cut to the next, mean by their times",
         source: BALASUBRAMANIAN,
         validity: Validity::Defined,
         value: Formula::Hand(|m, hand| smoothness(m, hand, log_dimensionless_jerk)),
@@ -206,11 +211,24 @@ pub const METRICS: &[Metric] = &[
         value: Formula::Hand(|m, hand| Some(idle_s(m, hand))),
     },
     Metric {
+        name: "out_of_view_time",
+        title: "Time out of view",
+        unit: "s",
+        better: Better::Less,
+        formula: "time in which no endoscope has the tip in the cone that it sees",
+        source: OURS,
+        validity: Validity::None,
+        value: Formula::Hand(|m, hand| {
+            let unseen = hand.tool.is_seen.iter().filter(|is_seen| !**is_seen).count();
+            (!hand.tool.is_seen.is_empty()).then(|| unseen as f64 * m.trace.period_s)
+        }),
+    },
+    Metric {
         name: "hand_balance",
         title: "Balance of hands",
         unit: "",
         better: Better::More,
-        formula: "of the two instruments with the longest ways, the shorter way over the longer one",
+        formula: "of the two instruments with the longest ways, endoscopes left out, the shorter way over the longer one",
         source: OURS,
         validity: Validity::None,
         value: Formula::Session(hand_balance),
@@ -313,13 +331,13 @@ pub const METRICS: &[Metric] = &[
     },
 ];
 
-/// The mean of a smoothness over all movements, by their time.
+/// The mean of a smoothness over all free ways, by their times.
 fn smoothness(m: &Measured<'_>, hand: &Hand<'_>, of: fn(&[f64], f64) -> Option<f64>) -> Option<f64> {
     let (mut sum, mut n_samples) = (0.0, 0);
-    for movement in &hand.movements {
-        if let Some(value) = of(&hand.speeds_m_per_s[movement.clone()], m.trace.period_s) {
-            sum += value * movement.len() as f64;
-            n_samples += movement.len();
+    for way in &hand.free_ways {
+        if let Some(value) = of(&hand.speeds_m_per_s[way.clone()], m.trace.period_s) {
+            sum += value * way.len() as f64;
+            n_samples += way.len();
         }
     }
     (n_samples > 0).then(|| sum / n_samples as f64)
@@ -332,7 +350,8 @@ fn idle_s(m: &Measured<'_>, hand: &Hand<'_>) -> f64 {
 }
 
 fn hand_balance(m: &Measured<'_>) -> Option<f64> {
-    let mut ways_m: Vec<f64> = m.hands.iter().map(|hand| path_length_m(&hand.tips_m)).collect();
+    let hands = m.hands.iter().filter(|hand| !hand.tool.is_endoscope);
+    let mut ways_m: Vec<f64> = hands.map(|hand| path_length_m(&hand.tips_m)).collect();
     ways_m.sort_by(|a, b| b.total_cmp(a));
     match ways_m[..] {
         [longer_m, shorter_m, ..] if longer_m > 0.0 => Some(shorter_m / longer_m),

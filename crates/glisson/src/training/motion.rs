@@ -56,11 +56,33 @@ pub fn movements(speeds_m_per_s: &[f64], period_s: f64) -> Vec<Range<usize>> {
     found
 }
 
-/// How straight movements were: the distances from their beginnings to their ends over their lengths, 1 for straight lines. None
-/// without movements.
-pub fn economy(points_m: &[DVec3], movements: &[Range<usize>]) -> Option<f64> {
-    let chords = movements.iter().map(|m| points_m[m.start].distance(points_m[m.end]));
-    let paths = movements.iter().map(|m| path_length_m(&points_m[m.start..=m.end]));
+/// Free ways: stretches of `speeds` in which an instrument is not at work, from where it begins to move to where it comes to rest
+/// for the last time, stops on the way included. `works` are those of the samples, one more than speeds. What is shorter than a
+/// movement is none.
+pub fn free_ways(speeds_m_per_s: &[f64], works: &[bool], period_s: f64) -> Vec<Range<usize>> {
+    let shortest = (SHORTEST_MOVEMENT_S / period_s).round().max(1.0) as usize;
+    let mut found: Vec<Range<usize>> = Vec::new();
+    let mut is_open = false;
+    for (at, speed) in speeds_m_per_s.iter().enumerate() {
+        if works[at] || works[at + 1] {
+            is_open = false;
+        } else if *speed >= REST_M_PER_S {
+            match found.last_mut() {
+                Some(last) if is_open => last.end = at + 1,
+                _ => found.push(at..at + 1),
+            }
+            is_open = true;
+        }
+    }
+    found.retain(|way| way.len() >= shortest);
+    found
+}
+
+/// How straight ways were: the distances from their beginnings to their ends over their lengths, 1 for straight lines. None without
+/// any.
+pub fn economy(points_m: &[DVec3], ways: &[Range<usize>]) -> Option<f64> {
+    let chords = ways.iter().map(|way| points_m[way.start].distance(points_m[way.end]));
+    let paths = ways.iter().map(|way| path_length_m(&points_m[way.start..=way.end]));
     let (chords_m, paths_m) = (chords.sum::<f64>(), paths.sum::<f64>());
     (paths_m > 0.0).then(|| chords_m / paths_m)
 }
@@ -92,6 +114,21 @@ mod tests {
         assert_eq!(movements, std::iter::once(0..100).collect::<Vec<_>>());
         let economy = economy(&points_m, &movements).unwrap();
         assert!((economy - 0.1 * libm::sqrt(2.0) / expected_m).abs() < 1e-12);
+    }
+
+    #[test]
+    fn free_ways_go_from_touch_to_touch_with_their_stops() {
+        let mut speeds = vec![0.0; 200];
+        speeds[10..40].fill(0.05);
+        speeds[90..110].fill(0.05);
+        speeds[150..170].fill(0.05);
+        let mut touches = vec![false; 201];
+        let ways = |touches: &[bool]| free_ways(&speeds, touches, 0.01);
+        assert_eq!(ways(&touches), std::iter::once(10..170).collect::<Vec<_>>());
+        touches[100..=130].fill(true);
+        assert_eq!(ways(&touches), [10..99, 150..170]);
+        touches.fill(true);
+        assert!(ways(&touches).is_empty());
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use crate::math::DVec3;
 use crate::record::snapshot::{ContactKind, ContactPoints};
 use crate::tool::ToolInput;
+use crate::tool::endoscope::Eye;
 use crate::world::World;
 
 /// Samples are so far apart [s], or a step where that is longer.
@@ -34,6 +35,8 @@ pub struct ToolTrace {
     pub name: String,
     /// Its kind, as scenes name it.
     pub kind: &'static str,
+    /// Whether it is there to see, and not to work.
+    pub is_endoscope: bool,
     /// Where it is.
     pub poses: Vec<ToolInput>,
     /// Size of the force on it, mean since the sample before [N] ...
@@ -44,6 +47,8 @@ pub struct ToolTrace {
     pub touches: Vec<bool>,
     /// Nodes that its jaws hold.
     pub n_held_nodes: Vec<u32>,
+    /// Whether an endoscope sees its tip; nothing where there is no endoscope, and for an endoscope itself.
+    pub is_seen: Vec<bool>,
     /// The place of the tissue at rest that its tip touches [m], if it does.
     pub touched_at_rest_m: Vec<Option<DVec3>>,
 }
@@ -104,6 +109,7 @@ impl TraceRecorder {
         let tools = world.tools().iter().map(|tool| ToolTrace {
             name: tool.name.clone(),
             kind: tool.kind.name(),
+            is_endoscope: tool.kind.optics().is_some(),
             ..ToolTrace::default()
         });
         let trace =
@@ -149,12 +155,17 @@ impl TraceRecorder {
 
     fn take(&mut self, world: &World, removed_m3: f64) {
         let trace = &mut self.trace;
+        let eyes: Vec<Eye> = (0..trace.tools.len()).filter_map(|tool| world.eye(tool)).collect();
         for (place, (tool, since)) in trace.tools.iter_mut().zip(&mut self.since).enumerate() {
             let report = &world.report().tools[place];
             tool.poses.push(world.tool_pose(place));
             tool.mean_force_n.push(since.force_sum_n / self.steps_per_sample as f64);
             tool.peak_force_n.push(since.peak_n);
             tool.touches.push(since.touches);
+            if !eyes.is_empty() && !tool.is_endoscope {
+                let tip_m = world.tool_pose(place).tip_in_world_m;
+                tool.is_seen.push(eyes.iter().any(|eye| eye.sees(tip_m)));
+            }
             tool.n_held_nodes.push(report.n_held_nodes);
             tool.touched_at_rest_m.push(world.touched_at_rest_m(place));
             *since = Since::default();

@@ -55,6 +55,7 @@ pub use crate::record::session::MOST_SUBSTEPS;
 use crate::record::snapshot::{
     BleedingSnapshot, ContactReport, DisplayTopology, Snapshot, ThreadSnapshot, ToolSnapshot,
 };
+use crate::tool::endoscope::Eye;
 use crate::tool::external_detection::ExternalDetection;
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
 use active::ActiveTip;
@@ -593,6 +594,12 @@ impl World {
     /// Where an instrument is.
     pub fn tool_pose(&self, tool: usize) -> ToolInput {
         self.tool_states[tool].now
+    }
+
+    /// Where an endoscope looks from and to; none for other instruments.
+    pub fn eye(&self, tool: usize) -> Option<Eye> {
+        let optics = self.spec.tools[tool].kind.optics()?;
+        Some(Eye::of(&self.tool_states[tool].now, optics))
     }
 
     /// Where the tissue that the tip of an instrument, or its first jaw, touches was at rest [m].

@@ -54,7 +54,7 @@ impl Goal {
                 near_m.into_iter().map(|(near_m, _)| near_m).collect()
             }
             GoalSource::Mark { near_m, .. } => vec![near_m],
-            GoalSource::Lift { point_m, .. } => vec![point_m],
+            GoalSource::Lift { point_m, .. } | GoalSource::See { point_m, .. } => vec![point_m],
             GoalSource::Part { from_m, to_m } | GoalSource::Cut { from_m, to_m, .. } => vec![from_m, to_m],
             GoalSource::Reach { .. } | GoalSource::Clip { .. } | GoalSource::Bleed { .. } => Vec::new(),
         };
@@ -121,6 +121,17 @@ impl Goal {
                     self.are_apart = piece(from) != piece(to);
                 }
                 Look::of(self.are_apart)
+            }
+            GoalSource::See { tool, within_rad, nearer_than_m, .. } => {
+                let place_m = self.places[0].position_m(world);
+                let Some(eye) = world.eye(tool) else {
+                    return Look::default();
+                };
+                let is_near =
+                    nearer_than_m.is_none_or(|most_m| eye.position_in_world_m.distance(place_m) <= most_m);
+                let off_rad = eye.off_middle_rad(place_m);
+                let holds = eye.sees(place_m) && off_rad <= within_rad && is_near;
+                Look { share: (within_rad / off_rad.max(1e-9)).min(1.0), holds, mistake: None }
             }
             GoalSource::Clip { n_clips } => {
                 let set = world.vessels().map_or(0, crate::world::vessels::Vessels::n_clips);

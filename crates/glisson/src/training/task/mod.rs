@@ -8,4 +8,4 @@ mod run;
 
 pub use cut_line::CutQuality;
 pub use result::{GateLine, GestureTime, MetricLine, Outcome, StageResult, TaskRecord, TaskResult};
-pub use run::{TaskError, TaskRun, TaskStatus};
+pub use run::{MarkKind, TaskError, TaskMark, TaskRun, TaskStatus};

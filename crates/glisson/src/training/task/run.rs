@@ -3,7 +3,7 @@
 use super::goal::{Goal, Look};
 use super::result::{Outcome, StageResult, TaskRecord};
 use crate::math::DVec3;
-use crate::scene::TaskSource;
+use crate::scene::{GoalSource, TaskSource};
 use crate::training::moments::{Fault, Moment};
 use crate::training::trace::TraceRecorder;
 use crate::world::World;
@@ -38,6 +38,48 @@ pub enum TaskError {
     },
 }
 
+/// Where something is to be done, for a picture.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TaskMark {
+    /// What the points are.
+    pub kind: MarkKind,
+    /// A place, or the two ends of a line [m]; of the tissue at rest, but for [`MarkKind::Space`].
+    pub points_m: Vec<DVec3>,
+}
+
+/// What is marked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MarkKind {
+    /// A place of the tissue.
+    Place,
+    /// A line on the tissue.
+    Line,
+    /// A place in space.
+    Space,
+}
+
+impl TaskMark {
+    /// Where a goal is to be reached, if that is to be seen: what has to be found is not.
+    fn of(goal: &GoalSource) -> Option<Self> {
+        let (kind, points_m) = match *goal {
+            GoalSource::Reach { point_m, .. } => (MarkKind::Space, vec![point_m]),
+            GoalSource::Cut { from_m, to_m, .. } => (MarkKind::Line, vec![from_m, to_m]),
+            GoalSource::Lift { point_m, .. } | GoalSource::See { point_m, .. } => {
+                (MarkKind::Place, vec![point_m])
+            }
+            GoalSource::Touch { near_m, .. } | GoalSource::Grasp { near_m, .. } => {
+                (MarkKind::Place, vec![near_m?.0])
+            }
+            GoalSource::Mark { .. }
+            | GoalSource::Part { .. }
+            | GoalSource::Clip { .. }
+            | GoalSource::Bleed { .. } => return None,
+        };
+        Some(Self { kind, points_m })
+    }
+}
+
 /// What who does a task is shown.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TaskStatus {
@@ -53,6 +95,8 @@ pub struct TaskStatus {
     pub share: f64,
     /// Help, when it takes long.
     pub hint: Option<String>,
+    /// Where something is to be done now.
+    pub mark: Option<TaskMark>,
     /// Mistakes so far.
     pub n_mistakes: usize,
     /// The last one.
@@ -198,6 +242,7 @@ impl TaskRun {
             n_stages: self.goals.len(),
             share: (self.look.share * 100.0).floor() / 100.0,
             hint: hint.and_then(|stage| stage.hint.clone()),
+            mark: stage.filter(|_| self.outcome.is_none()).and_then(|stage| TaskMark::of(&stage.goal)),
             n_mistakes: self.mistakes.len(),
             mistake: self.mistakes.last().map(|mistake| mistake.detail.clone()),
             began_s: self.began_s,

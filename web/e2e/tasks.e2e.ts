@@ -1,0 +1,98 @@
+/**
+ * The tasks that come with the program, each done by its demonstration in front of a page: the panel follows the stages to their end,
+ * and leads to the report. The program is in GLISSON_PROGRAM.
+ */
+import { spawn, type ChildProcess } from "node:child_process";
+import { execFileSync } from "node:child_process";
+import { mkdtempSync, rmSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { afterAll, beforeAll, describe, expect, it } from "vitest";
+import type { Browser } from "playwright-core";
+import { openPage, resultFile, startBrowser, waitForOrgan } from "./browser";
+
+const program = process.env.GLISSON_PROGRAM;
+if (program === undefined) console.warn("SKIPPED e2e/tasks.e2e.ts: GLISSON_PROGRAM is not set (the program glisson)");
+
+interface Task {
+  readonly name: string;
+  readonly title: string;
+  readonly stages: readonly string[];
+}
+
+const tasks = program === undefined ? [] : (JSON.parse(execFileSync(program, ["task", "list", "--json"], { encoding: "utf8" })) as Task[]);
+/** A demonstration takes some 12 s; a busy machine draws slowly beside it. */
+const LONGEST_MS = 120_000;
+
+/** A task that serves itself; its address when it answers. */
+async function serve(task: Task, out: string): Promise<{ program: ChildProcess; url: string }> {
+  const child = spawn(program!, ["task", "run", task.name, "--demonstrate", "--no-open", "--port", "0", "--out", out]);
+  return new Promise((resolve, reject) => {
+    let text = "";
+    const hear = (data: Buffer): void => {
+      text += data.toString();
+      const url = /http:\/\/\S+/.exec(text)?.[0];
+      if (url !== undefined) resolve({ program: child, url });
+    };
+    child.stdout.on("data", hear);
+    child.stderr.on("data", hear);
+    child.on("exit", (code) => reject(new Error(`${task.name} ended with ${code}: ${text}`)));
+  });
+}
+
+describe.skipIf(program === undefined)("the tasks in the page", () => {
+  let browser: Browser;
+  let out: string;
+
+  beforeAll(async () => {
+    browser = await startBrowser();
+    out = mkdtempSync(join(tmpdir(), "glisson-tasks-"));
+  });
+  afterAll(async () => {
+    await browser?.close();
+    rmSync(out, { recursive: true, force: true });
+  });
+
+  it.each(tasks)("$name is done by its demonstration", { timeout: 2 * LONGEST_MS }, async (task) => {
+    const { program: server, url } = await serve(task, out);
+    try {
+      const { page, problems } = await openPage(browser);
+      await page.goto(url);
+      await waitForOrgan(page);
+      const panel = page.locator("#task");
+      await panel.locator("h2").filter({ hasText: task.title }).waitFor();
+      const seen = new Set<string>();
+      const stage = panel.locator(".stage");
+      const begin = Date.now();
+      let paced = 0;
+      while ((await stage.getAttribute("data-outcome")) === "") {
+        expect(Date.now() - begin).toBeLessThan(LONGEST_MS);
+        seen.add((await stage.textContent()) ?? "");
+        const factor = await page.evaluate(() => window.glisson!.header!.realTimeFactor);
+        paced = Math.max(paced, factor);
+        if (seen.size === task.stages.length) await page.screenshot({ path: resultFile(`task-${task.name}.png`) });
+        await page.waitForTimeout(100);
+      }
+      expect(await stage.textContent()).toBe("All stages are done.");
+      // The last stage at least was there to be read.
+      expect([...seen].some((text) => text.endsWith(task.stages[task.stages.length - 1]))).toBe(true);
+      console.log(`${task.name}: ${((Date.now() - begin) / 1000).toFixed(1)} s, up to ${paced.toFixed(2)} x real time`);
+
+      const reported = page.context().waitForEvent("page");
+      await panel.getByRole("link", { name: "Look at the report" }).click();
+      const report = await reported;
+      await report.waitForLoadState();
+      expect(await report.locator("h1").textContent()).toBe(task.title);
+      expect(await report.locator("main > p").first().textContent()).toContain("Passed");
+      expect(await report.locator("tr", { hasText: "Path length" }).count()).toBeGreaterThan(0);
+      expect(await report.locator("svg").count()).toBeGreaterThan(1);
+      await report.screenshot({ path: resultFile(`report-${task.name}.png`), fullPage: true });
+      expect(problems).toEqual([]);
+      await report.close();
+      await page.close();
+    } finally {
+      server.removeAllListeners("exit");
+      server.kill();
+    }
+  });
+});

@@ -26,6 +26,7 @@ mod quasi_nonlinear;
 mod rough_hands;
 mod surface_copy;
 mod sutures;
+mod task_runs;
 mod tissue_parts;
 mod tool_contacts;
 mod tools_touch;

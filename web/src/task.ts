@@ -13,6 +13,7 @@ export interface TaskMark {
 export interface TaskStatus {
   readonly type: "task";
   readonly title: string;
+  readonly begins_in_theatre: boolean;
   /** What is to be done now; empty when it is over. */
   readonly stage: string;
   readonly n_done: number;
@@ -26,6 +27,8 @@ export interface TaskStatus {
   readonly mistake: string | null;
   /** Simulated time at which it began; null before an instrument has moved. */
   readonly began_s: number | null;
+  /** Simulated time at which it ended. */
+  readonly ended_s: number | null;
   readonly time_limit_s: number | null;
   readonly outcome: TaskOutcome | null;
 }
@@ -60,6 +63,7 @@ export function decodeTask(message: unknown): TaskStatus {
   return {
     type: "task",
     title: stringAt(fields, "title", "task"),
+    begins_in_theatre: fields.begins_in_theatre === true,
     stage: stringAt(fields, "stage", "task"),
     n_done: numberAt(fields, "n_done", "task", 0),
     n_stages: numberAt(fields, "n_stages", "task", 1),
@@ -69,6 +73,7 @@ export function decodeTask(message: unknown): TaskStatus {
     n_mistakes: numberAt(fields, "n_mistakes", "task", 0),
     mistake: textOrNull(fields, "mistake"),
     began_s: numberOrNull(fields, "began_s"),
+    ended_s: numberOrNull(fields, "ended_s"),
     time_limit_s: numberOrNull(fields, "time_limit_s"),
     outcome,
   };
@@ -101,8 +106,6 @@ export class TaskPanel {
   private readonly hint = document.createElement("p");
   private readonly mistake = document.createElement("p");
   private readonly report = document.createElement("a");
-  /** The simulated time at which it ended. */
-  private ended_s: number | null = null;
   private now_s = 0;
 
   constructor(private readonly root: HTMLElement) {
@@ -122,8 +125,9 @@ export class TaskPanel {
     root.append(head, this.stage, this.bar, this.hint, this.mistake, this.report);
   }
 
-  show(status: TaskStatus): void {
-    this.ended_s = status.outcome === null ? null : (this.ended_s ?? this.now_s);
+  /** Answers whether it is the first one of a task that begins with the endoscope's picture. */
+  show(status: TaskStatus): boolean {
+    const isFirst = this.status === null;
     this.status = status;
     this.root.hidden = false;
     this.title.textContent = status.title;
@@ -138,13 +142,14 @@ export class TaskPanel {
     this.mistake.hidden = status.mistake === null;
     this.report.hidden = status.outcome === null;
     this.tick(this.now_s);
+    return isFirst && status.begins_in_theatre;
   }
 
   /** The simulated time goes on. */
   tick(now_s: number): void {
     this.now_s = now_s;
     if (this.status === null) return;
-    const text = timeText(this.status, this.ended_s ?? now_s);
+    const text = timeText(this.status, this.status.ended_s ?? now_s);
     if (this.time.textContent !== text) this.time.textContent = text;
   }
 }

@@ -91,7 +91,7 @@ export class Viewer {
       snapshot: (snapshot, bytes) => this.receive(snapshot, bytes),
       ...this.news.events,
       task: (task) => {
-        this.task.show(task);
+        if (this.task.show(task) && !this.theatre.on) this.run("theatre", false);
         if (this.scene.taskMarks.show(task.mark, this.scene.organs.get(0)?.positions_m ?? null)) this.redraw();
       },
       error: (message) => this.messages.error(message),

@@ -5,6 +5,7 @@ import { clockText, timeText, type TaskStatus } from "../src/task";
 const STATUS: TaskStatus = {
   type: "task",
   title: "Find the nodule",
+  begins_in_theatre: true,
   stage: "Touch the liver",
   n_done: 0,
   n_stages: 2,
@@ -14,6 +15,7 @@ const STATUS: TaskStatus = {
   n_mistakes: 0,
   mistake: null,
   began_s: null,
+  ended_s: null,
   time_limit_s: 180,
   outcome: null,
 };

@@ -18,6 +18,10 @@ impl Recorder {
         let mut partial = path.as_os_str().to_owned();
         partial.push(".partial");
         let partial = PathBuf::from(partial);
+        if let Some(folder) = path.parent().filter(|folder| *folder != Path::new("")) {
+            std::fs::create_dir_all(folder)
+                .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
+        }
         let file = File::create(&partial)
             .with_context(|| format!("{}: cannot record the session there", partial.display()))?;
         let header = SessionHeader::new(scene_text.to_string(), mesh_hash);

@@ -170,8 +170,6 @@ fn do_task(args: &Run) -> anyhow::Result<()> {
         let none = "the task has no demonstration: its instruments have no [[tool.path]]";
         script = Some(paths.with_context(|| format!("{}: {none}", source.origin))?);
     }
-    std::fs::create_dir_all(&args.out)
-        .with_context(|| format!("{}: cannot make the folder", args.out.display()))?;
     let mut simulation = Simulation::open(source, Some(&args.file(".jsonl")))?;
     if let Some(script) = script {
         simulation.follow_script(Box::new(script));

@@ -6,6 +6,7 @@ mod devices;
 mod images;
 mod link;
 mod precompute;
+mod tasks;
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -82,6 +83,7 @@ fn help_and_wrong_command_lines() {
         "run",
         "serve",
         "watch",
+        "task",
         "devices",
         "replay",
         "bench",

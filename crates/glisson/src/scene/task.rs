@@ -13,6 +13,8 @@ pub struct TaskSource {
     pub title: String,
     /// What it is about, for who chooses one.
     pub about: String,
+    /// Whether it begins with the endoscope's picture.
+    pub begins_in_theatre: bool,
     /// What has to be done, in this order; one at least.
     pub stages: Vec<StageSource>,
     /// The task has failed when it takes longer [s].
@@ -187,6 +189,7 @@ const MOST: u64 = 1000;
 pub(super) fn read_task(mut section: Section<'_>, tools: &[Tool]) -> Result<TaskSource, SceneError> {
     let title = section.string("title")?.ok_or_else(|| section.missing("title", "title = \"Palpation\""))?.0;
     let about = section.string("about")?.map(|about| about.0).unwrap_or_default();
+    let begins_in_theatre = read_view(&mut section, tools)?;
     let time_limit_s = section.positive("time_limit", Dimension::Time)?;
     let force_threshold_n = section.positive("force_threshold", Dimension::Force)?;
     let sections = section.sections("stage")?;
@@ -200,7 +203,21 @@ pub(super) fn read_task(mut section: Section<'_>, tools: &[Tool]) -> Result<Task
     let stages = sections.into_iter().map(|stage| read_stage(stage, tools)).collect::<Result<_, _>>()?;
     let gate = section.section("gate")?.map(read_gate).transpose()?.unwrap_or_default();
     section.finish()?;
-    Ok(TaskSource { title, about, stages, time_limit_s, force_threshold_n, gate })
+    Ok(TaskSource { title, about, begins_in_theatre, stages, time_limit_s, force_threshold_n, gate })
+}
+
+/// `view`: whether the task begins with the endoscope's picture.
+fn read_view(section: &mut Section<'_>, tools: &[Tool]) -> Result<bool, SceneError> {
+    let Some((view, at)) = section.string("view")? else { return Ok(false) };
+    let has_endoscope = tools.iter().any(|tool| tool.kind.optics().is_some());
+    match (view.as_str(), has_endoscope) {
+        ("laboratory", _) => Ok(false),
+        ("theatre", true) => Ok(true),
+        _ => {
+            let allowed = "laboratory, or with an endoscope among the instruments theatre";
+            Err(section.wrong_value(at, "view", format!("\"{view}\""), allowed))
+        }
+    }
 }
 
 fn read_gate(mut section: Section<'_>) -> Result<GateSource, SceneError> {
@@ -392,6 +409,7 @@ mod tests {
         for (text, expected) in [
             ("[task]\n", "[task] lacks \"title\""),
             ("[task]\ntitle = \"T\"\n", "[task] lacks \"stage\""),
+            ("[task]\ntitle = \"T\"\nview = \"theatre\"\n", "with an endoscope among the instruments"),
             ("[task]\ntitle = \"T\"\n[[task.stage]]\ntitle = \"a\"\n", "exactly one of reach"),
             ("[task]\ntitle = \"T\"\n[[task.stage]]\ntitle = \"a\"\ntuoch = {}\n", "did you mean \"touch\"?"),
             ("[task]\ntitle = \"T\"\n[[task.stage]]\ntitle = \"a\"\ntouch = {}\n", "lacks \"tool\""),

@@ -70,6 +70,8 @@ fn the_clock_starts_with_the_first_motion_and_a_goal_has_to_hold() {
     assert_eq!((status.outcome, status.n_done, status.mark.clone()), (Some(Outcome::Done), 2, None));
     let result = run.record().result();
     assert!(result.is_passed);
+    let took_s = status.ended_s.unwrap() - began_s;
+    assert!((took_s - result.metric("time", None).unwrap()).abs() < 1e-9);
     let [touch, back] = &result.stages[..] else { panic!("{:?}", result.stages) };
     // The tip, of radius 5 mm, is at the surface after 25 of 28 mm, at 1.39 s; half a second later it was held long enough.
     let touched_s = 0.5 + 25.0 / 28.0 + 0.5 - began_s;

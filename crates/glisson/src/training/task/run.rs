@@ -85,6 +85,8 @@ impl TaskMark {
 pub struct TaskStatus {
     /// What the task is called.
     pub title: String,
+    /// Whether it begins with the endoscope's picture.
+    pub begins_in_theatre: bool,
     /// What is to be done now; empty when it is over.
     pub stage: String,
     /// Stages that are done.
@@ -103,6 +105,8 @@ pub struct TaskStatus {
     pub mistake: Option<String>,
     /// Simulated time at which it began [s]; none before an instrument has moved.
     pub began_s: Option<f64>,
+    /// Simulated time at which it ended [s], once it has.
+    pub ended_s: Option<f64>,
     /// How long it may take [s].
     pub time_limit_s: Option<f64>,
     /// Once it is over.
@@ -237,6 +241,7 @@ impl TaskRun {
         let hint = stage.filter(|stage| self.outcome.is_none() && in_stage_s >= stage.hint_after_s);
         TaskStatus {
             title: self.source.title.clone(),
+            begins_in_theatre: self.source.begins_in_theatre,
             stage: stage.map(|stage| stage.title.clone()).unwrap_or_default(),
             n_done: self.stage,
             n_stages: self.goals.len(),
@@ -246,6 +251,11 @@ impl TaskRun {
             n_mistakes: self.mistakes.len(),
             mistake: self.mistakes.last().map(|mistake| mistake.detail.clone()),
             began_s: self.began_s,
+            // Nothing is written down after the end.
+            ended_s: self
+                .outcome
+                .and(self.began_s)
+                .map(|began_s| began_s + self.recorder.trace().duration_s()),
             time_limit_s: self.source.time_limit_s,
             outcome: self.outcome,
         }

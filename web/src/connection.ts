@@ -10,7 +10,7 @@ import {
   type Topology,
 } from "./protocol";
 import type { Feel } from "./feel";
-import type { TaskStatus } from "./task";
+import type { TaskNews } from "./task";
 import type { Role, Timing } from "./timing";
 
 export type ConnectionState = "connecting" | "open" | "lost";
@@ -23,7 +23,7 @@ export interface ConnectionEvents {
   role(role: Role): void;
   timing(timing: Timing): void;
   feel(feel: Feel): void;
-  task(task: TaskStatus): void;
+  task(task: TaskNews): void;
   /** An error message of the server, or a message that could not be understood. */
   error(message: string): void;
   /** What is as it should be, and worth knowing. */

@@ -5,7 +5,7 @@
  * and throw nothing but {@link ProtocolError}. Units: metres, seconds, newtons; frame: LPS.
  */
 
-import { decodeTask, type TaskStatus } from "./task";
+import { decodeTask, type TaskNews } from "./task";
 import { BLOOD_BYTES, decodeBlood, type Bleeding } from "./blood";
 import { bodiesAt, type BodyInfo } from "./body_info";
 import { contactPointsBytes, decodeContactPoints, type ContactPoints } from "./contact_points";
@@ -157,7 +157,7 @@ export function encodeClientMessage(message: ClientMessage): string {
 // ---- text ----
 
 /** Decodes a text message of the server. */
-export function decodeText(text: string): Hello | ServerNotice | Role | Timing | Feel | TaskStatus {
+export function decodeText(text: string): Hello | ServerNotice | Role | Timing | Feel | TaskNews {
   let parsed: unknown;
   try {
     parsed = JSON.parse(text);

@@ -10,8 +10,13 @@ export interface TaskMark {
   readonly points_m: readonly Vec3[];
 }
 
-export interface TaskStatus {
+/** The message about the task: its status, or null where it cannot be done any more. */
+export interface TaskNews {
   readonly type: "task";
+  readonly status: TaskStatus | null;
+}
+
+export interface TaskStatus {
   readonly title: string;
   readonly begins_in_theatre: boolean;
   /** What is to be done now; empty when it is over. */
@@ -29,7 +34,7 @@ export interface TaskStatus {
   readonly began_s: number | null;
   /** Simulated time at which it ended. */
   readonly ended_s: number | null;
-  readonly time_limit_s: number | null;
+  readonly time_limit_s: number;
   readonly outcome: TaskOutcome | null;
 }
 
@@ -54,14 +59,17 @@ function decodeMark(value: unknown): TaskMark | null {
 }
 
 /** @throws ProtocolError naming the field that is wrong. */
-export function decodeTask(message: unknown): TaskStatus {
-  const fields = fieldsOf(message, "task");
+export function decodeTask(message: Fields): TaskNews {
+  return { type: "task", status: message.status === null ? null : decodeStatus(message.status) };
+}
+
+function decodeStatus(value: unknown): TaskStatus {
+  const fields = fieldsOf(value, "task");
   const outcome = textOrNull(fields, "outcome");
   if (outcome !== null && outcome !== "done" && outcome !== "time_over") {
     fail(`task.outcome is "${outcome.slice(0, 40)}"; it may be done, time_over or null`);
   }
   return {
-    type: "task",
     title: stringAt(fields, "title", "task"),
     begins_in_theatre: fields.begins_in_theatre === true,
     stage: stringAt(fields, "stage", "task"),
@@ -74,7 +82,7 @@ export function decodeTask(message: unknown): TaskStatus {
     mistake: textOrNull(fields, "mistake"),
     began_s: numberOrNull(fields, "began_s"),
     ended_s: numberOrNull(fields, "ended_s"),
-    time_limit_s: numberOrNull(fields, "time_limit_s"),
+    time_limit_s: numberAt(fields, "time_limit_s", "task", 0),
     outcome,
   };
 }
@@ -88,8 +96,7 @@ export function clockText(time_s: number): string {
 /** The time that a task has taken at `now_s`, and what it may take: `0:12 of 3:00`. */
 export function timeText(task: TaskStatus, now_s: number): string {
   if (task.began_s === null) return "begins when you move an instrument";
-  const limit = task.time_limit_s === null ? "" : ` of ${clockText(task.time_limit_s)}`;
-  return `${clockText(now_s - task.began_s)}${limit}`;
+  return `${clockText(now_s - task.began_s)} of ${clockText(task.time_limit_s)}`;
 }
 
 /** How a task ended, in words. */
@@ -126,10 +133,11 @@ export class TaskPanel {
   }
 
   /** Answers whether it is the first one of a task that begins with the endoscope's picture. */
-  show(status: TaskStatus): boolean {
+  show(status: TaskStatus | null): boolean {
     const isFirst = this.status === null;
     this.status = status;
-    this.root.hidden = false;
+    this.root.hidden = status === null;
+    if (status === null) return false;
     this.title.textContent = status.title;
     const number = `${Math.min(status.n_done + 1, status.n_stages)} of ${status.n_stages}`;
     this.stage.textContent = status.outcome === null ? `${number}: ${status.stage}` : outcomeText(status.outcome);

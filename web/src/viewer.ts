@@ -90,9 +90,9 @@ export class Viewer {
       topology: (topology) => this.setTopology(topology),
       snapshot: (snapshot, bytes) => this.receive(snapshot, bytes),
       ...this.news.events,
-      task: (task) => {
-        if (this.task.show(task) && !this.theatre.on) this.run("theatre", false);
-        if (this.scene.taskMarks.show(task.mark, this.scene.organs.get(0)?.positions_m ?? null)) this.redraw();
+      task: ({ status }) => {
+        if (this.task.show(status) && !this.theatre.on) this.run("theatre", false);
+        if (this.scene.taskMarks.show(status?.mark ?? null, this.scene.organs.get(0)?.positions_m ?? null)) this.redraw();
       },
       error: (message) => this.messages.error(message),
       notice: (message) => this.messages.notice(message),

@@ -5,12 +5,12 @@ use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::World;
 
 /// What a script does in the next step.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Lead {
     /// Where it has the instruments at the step's end.
     pub tools: [ToolInput; MAX_TOOLS],
-    /// Which of them sets a clip then.
-    pub clips: Option<usize>,
+    /// Which of them set a clip then, one after the other.
+    pub clips: Vec<usize>,
 }
 
 /// A clip that a script set, or wanted to.
@@ -69,14 +69,14 @@ impl Script for PathScript {
         let time_step_s = self.scene.world.time_step_s;
         if self.n_waiting > 0 {
             self.n_waiting -= 1;
-            return Some(Lead { tools: self.scene.input_at(0.0).tools, clips: None });
+            return Some(Lead { tools: self.scene.input_at(0.0).tools, clips: Vec::new() });
         }
         if self.step == self.last_step {
             return None;
         }
         let [from_s, to_s] = [self.step, self.step + 1].map(|step| step as f64 * time_step_s);
         self.step += 1;
-        let clips = self.scene.clips_between(from_s, to_s).next();
+        let clips = self.scene.clips_between(from_s, to_s).collect();
         Some(Lead { tools: self.scene.input_at(to_s).tools, clips })
     }
 

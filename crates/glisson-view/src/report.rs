@@ -20,11 +20,11 @@ const PLOT_SIZE: [u32; 2] = [880, 260];
 /// Points of a plot's line at most: more are not seen.
 const MOST_POINTS: usize = 2000;
 
-/// The report; with `back`, a link to the simulation's page.
-pub fn task_report(record: &TaskRecord, back: Option<&str>) -> String {
+/// The report of what was written down and its assessment; with `back`, a link to the simulation's page.
+pub fn task_report(record: &TaskRecord, result: &TaskResult, back: Option<&str>) -> String {
     let mut html = String::new();
     // Writing to a string does not fail.
-    let _ = write_report(&mut html, record, &record.result(), back);
+    let _ = write_report(&mut html, record, result, back);
     html
 }
 

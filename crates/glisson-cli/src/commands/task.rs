@@ -93,8 +93,7 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     }
     let width = all.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
     for (name, task) in &all {
-        let limit = task.time_limit_s.map(|limit_s| format!(" ({limit_s:.0} s)")).unwrap_or_default();
-        println!("{name:width$}  {}{limit}", task.title);
+        println!("{name:width$}  {} ({:.0} s)", task.title, task.time_limit_s);
         println!("{:width$}  {}", "", task.about);
     }
     println!("\nDo one with `glisson task run {}`.", all.first().map_or("NAME", |(name, _)| name));
@@ -196,7 +195,7 @@ fn follow_demonstration(args: &Run, mut simulation: Simulation) -> anyhow::Resul
     let state_hash = simulation.finish()?;
     let result = record.result();
     let (report, numbers) = (args.file(".html"), args.file(".json"));
-    write_text(&report, &task_report(&record, None))?;
+    write_text(&report, &task_report(&record, &result, None))?;
     let whole = json!({
         "result": &result, "steps": steps, "real_time_factor": real_time_factor, "state_hash": state_hash.to_string(),
         "notices": notices,

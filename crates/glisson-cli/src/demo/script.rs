@@ -76,7 +76,7 @@ impl Script for Operation {
         }
         let (pose, clips) = self.applier.advance(time_step_s);
         tools[CLIP_APPLIER] = pose;
-        Some(Lead { tools, clips: clips.then_some(CLIP_APPLIER) })
+        Some(Lead { tools, clips: clips.then_some(CLIP_APPLIER).into_iter().collect() })
     }
 
     fn see(&mut self, clip: &Clip) {

@@ -125,10 +125,15 @@ fn what_is_no_task_is_refused_and_nothing_is_made() {
         (without.as_str(), &["own.toml", "has no [task]", "docs/tasks.md"][..]),
         (&TASK.replace("touch = {}", "tuoch = {}"), &["own.toml", "line 6", "did you mean \"touch\"?"]),
         (
-            &TASK.replace("touch = {}", "lift = { point = [0, \"-2 cm\", 0], by = \"1 mm\" }"),
+            &TASK.replace("touch = {}", "touch = { near = [0, \"-2 cm\", 0], within = \"1 mm\" }"),
             &["own.toml", "stage 1", "no tissue at (0.0, -20.0, 0.0) mm"],
         ),
         (&TASK.replace("touch = {}", "clip = {}"), &["own.toml", "about vessels"]),
+        (&TASK.replace("touch = {}", "grasp = {}"), &["own.toml", "such as a grasper"]),
+        (
+            &TASK.replace("touch = {}", "part = { from = [0, 0, 0], to = [0, 0, \"1 cm\"] }"),
+            &["own.toml", "an instrument that cuts"],
+        ),
         (
             &TASK.replace("[[tool.path]]\ntime = \"0.5 s\"\ntip = [0, \"-2 mm\", 0]\n", ""),
             &["own.toml", "no demonstration", "[[tool.path]]"],

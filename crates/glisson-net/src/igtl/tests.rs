@@ -52,6 +52,8 @@ pub(crate) fn published(step: u64) -> Arc<Published> {
         effort: Default::default(),
         notices: Vec::new(),
         n_notices: 0,
+        task: None,
+        task_record: None,
         is_broken: false,
         lateness: Lateness::default(),
         meters: Arc::default(),

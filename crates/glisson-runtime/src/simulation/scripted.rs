@@ -57,7 +57,7 @@ impl Simulation {
 
     /// Whether the script sets a clip after the next step.
     pub fn is_about_to_clip(&self) -> bool {
-        self.script.as_ref().is_some_and(|run| run.next.clips.is_some())
+        self.script.as_ref().is_some_and(|run| !run.next.clips.is_empty())
     }
 
     /// Clips of the script that closed something.
@@ -69,7 +69,7 @@ impl Simulation {
     pub(super) fn go_on_with_script(&mut self) -> anyhow::Result<()> {
         // Taken out, because a clip goes through the simulation.
         let Some(mut run) = self.script.take_if(|run| !run.is_over) else { return Ok(()) };
-        if let Some(tool) = run.next.clips.take() {
+        for tool in std::mem::take(&mut run.next.clips) {
             let before_ml_per_min = bleeding_ml_per_min(&self.world);
             // One that somebody has in the hand sets none.
             if !run.is_taken[tool] {

@@ -365,7 +365,7 @@ impl Script for Paths {
             return None;
         }
         self.time_s = (world.steps_made() + 1) as f64 * world.spec().time_step_s;
-        Some(Lead { tools: self.scene.input_at(self.time_s).tools, clips: None })
+        Some(Lead { tools: self.scene.input_at(self.time_s).tools, clips: Vec::new() })
     }
 
     fn see(&mut self, _: &Clip) {}
@@ -417,7 +417,7 @@ impl Script for BurnsAndClips {
             trigger: if self.step > 20 && !bleeds { 1.0 } else { 0.0 },
             ..ToolInput::at(DVec3::new(0.04, 0.017, 0.036), DVec3::Z)
         };
-        Some(Lead { tools: [pose; MAX_TOOLS], clips: bleeds.then_some(0) })
+        Some(Lead { tools: [pose; MAX_TOOLS], clips: bleeds.then_some(0).into_iter().collect() })
     }
 
     fn see(&mut self, clip: &Clip) {

@@ -174,11 +174,9 @@ pub(super) fn notice(notice: &Notice) -> Value {
     json!({ "type": kind, "message": notice.text })
 }
 
-/// How far the task is.
-pub(super) fn task(status: &TaskStatus) -> Value {
-    let mut message = json!(status);
-    message["type"] = json!("task");
-    message
+/// How far the task is; none when it cannot be done any more.
+pub(super) fn task(status: Option<&TaskStatus>) -> Value {
+    json!({ "type": "task", "status": status })
 }
 
 /// Whether this viewer controls, and whether anybody does.

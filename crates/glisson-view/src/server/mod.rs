@@ -228,9 +228,9 @@ fn router(shared: Arc<Shared>, access: Access) -> Router {
         .route("/api/scene", get(scene))
         .route("/api/snapshot", get(latest_snapshot))
         .route("/api/task", get(task_result))
+        .route("/report", get(report))
         .route_layer(from_fn_with_state(Arc::<limits::Asked>::default(), limits::guard_api));
     api.route("/ws", get(socket::open))
-        .route("/report", get(report))
         .route("/", get(|| async { viewer_file("index.html") }))
         .route("/{*path}", get(|UrlPath(path): UrlPath<String>| async move { viewer_file(&path) }))
         .layer(from_fn_with_state(Arc::new(access), access::guard))
@@ -274,7 +274,7 @@ async fn task_result(State(shared): State<Arc<Shared>>) -> Response {
 }
 
 async fn report(State(shared): State<Arc<Shared>>) -> Response {
-    let html = assessed(shared, |record| task_report(record, Some("/"))).await;
+    let html = assessed(shared, |record| task_report(record, &record.result(), Some("/"))).await;
     html.map(axum::response::Html).into_response()
 }
 

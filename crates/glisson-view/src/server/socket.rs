@@ -125,9 +125,7 @@ impl Connection {
         told.n_notices = latest.n_notices;
         if latest.task != told.task {
             told.task.clone_from(&latest.task);
-            if let Some(task) = &latest.task {
-                self.say(messages::task(task)).await?;
-            }
+            self.say(messages::task(latest.task.as_ref())).await?;
         }
         if latest.model != told.model {
             told.model = latest.model;

@@ -109,16 +109,16 @@ pub enum BuildError {
         reach_mm: f64,
     },
     /// A surface cannot be filled with tetrahedra.
-    #[error("its surface cannot be meshed: {0}; another \"edge\", or number of \"tetrahedra\", may help")]
+    #[error("its surface cannot be meshed; another \"edge\", or number of \"tetrahedra\", may help")]
     Meshing(#[from] MeshingError),
     /// An organ that the synthetic patient has not.
-    #[error("phantom: {0}")]
+    #[error("an organ of the phantom is not there")]
     PhantomLabel(#[from] LabelError),
     /// The surface of an organ of the synthetic patient.
-    #[error("phantom: {0}")]
+    #[error("an organ of the phantom has no surface")]
     PhantomSurface(#[from] SurfaceError),
     /// An organ of the synthetic patient with parts.
-    #[error("phantom: {0}")]
+    #[error("an organ of the phantom cannot be meshed with its parts")]
     PhantomOrgans(#[from] OrganMeshError),
     /// The model that the scene asks for.
     #[error(transparent)]

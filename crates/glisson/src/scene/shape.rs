@@ -84,10 +84,12 @@ const EXAMPLE: &str = "mesh = \"liver.vtu\", or in its place box = { min, max },
      cylinder = { from, to, radius }, slab = { point, normal, size, thickness } or phantom = { organ, seed, tetrahedra }";
 const ALLOWED: &str = "exactly one of mesh, box, ball, cylinder, slab and phantom";
 
+/// What lies in the liver, and can have a label of its own.
+const INSIDE_LIVER: [Tissue; 3] = [Tissue::LiverTumour, Tissue::PortalVein, Tissue::HepaticVein];
 /// Tetrahedra of an organ of the phantom unless the scene says how many.
 const DEFAULT_TETRAHEDRA: usize = 6300;
 /// The fewest and most that a scene may ask for.
-const TETRAHEDRA: std::ops::RangeInclusive<usize> = 100..=200_000;
+const TETRAHEDRA: std::ops::RangeInclusive<usize> = 200..=200_000;
 
 /// The shape of a body, `edge` with it.
 pub(super) fn read_shape(section: &mut Section<'_>) -> Result<ShapeSource, SceneError> {
@@ -109,9 +111,29 @@ pub(super) fn read_shape(section: &mut Section<'_>) -> Result<ShapeSource, Scene
             shape
         }
         (None, None, _) => return Err(section.missing_one_of(&KEYS, EXAMPLE)),
-        _ => return Err(section.wrong_table("mesh", "not the only shape".into(), ALLOWED.into())),
+        _ => {
+            let found: Vec<&str> = KEYS.into_iter().filter(|key| section.has(key)).collect();
+            return Err(section.wrong_table(
+                "mesh",
+                format!("one of {}", found.join(" and ")),
+                ALLOWED.into(),
+            ));
+        }
     };
     let edge_m = section.positive("edge", Dimension::Length)?;
+    let (is_file, is_phantom) =
+        (matches!(shape, BodyShape::File { .. }), matches!(shape, BodyShape::Phantom(_)));
+    if section.has("mesh_unit") && !is_file {
+        return Err(section.wrong_table(
+            "mesh_unit",
+            "without a mesh".into(),
+            "mesh_unit beside mesh alone".into(),
+        ));
+    }
+    if edge_m.is_some() && is_phantom {
+        let allowed = "tetrahedra = 6300 in it: how many there are says how long edges are".into();
+        return Err(section.wrong_table("edge", "beside phantom".into(), allowed));
+    }
     Ok(ShapeSource { shape, edge_m })
 }
 
@@ -182,7 +204,18 @@ fn read_phantom(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {
     let mut parts = Vec::new();
     if let Some((names, at)) = table.strings("parts")? {
         for name in names {
-            parts.push(tissue_named(table, "parts", &name, at)?);
+            let part = tissue_named(table, "parts", &name, at)?;
+            if organ != Tissue::Liver || !INSIDE_LIVER.contains(&part) {
+                let names = INSIDE_LIVER.map(Tissue::name).join(", ");
+                let allowed = format!("what lies in the liver: {names}; the other organs have no parts");
+                return Err(table.wrong_value(
+                    at,
+                    "parts",
+                    format!("\"{}\" of the {}", part.name(), organ.name()),
+                    &allowed,
+                ));
+            }
+            parts.push(part);
         }
     }
     let vessels = table.flag("vessels")?.unwrap_or(false);
@@ -242,9 +275,19 @@ mod tests {
                 "exactly one of mesh, box",
             ),
             ("phantom = { organ = \"lever\" }", "did you mean \"liver\""),
-            ("phantom = { organ = \"liver\", tetrahedra = 50 }", "a whole number from 100 to 200000"),
+            ("phantom = { organ = \"liver\", tetrahedra = 50 }", "a whole number from 200 to 200000"),
             ("phantom = { organ = \"liver\", seed = 1.5 }", "a whole number from 0 to"),
             ("phantom = { organ = \"spleen\", vessels = true }", "the others have none"),
+            ("phantom = { organ = \"liver\", parts = [\"spleen\"] }", "what lies in the liver: liver_tumour"),
+            (
+                "phantom = { organ = \"spleen\", parts = [\"liver_tumour\"] }",
+                "the other organs have no parts",
+            ),
+            ("phantom = { organ = \"liver\" }\nedge = \"5 mm\"", "beside phantom"),
+            (
+                "box = { min = [0, 0, 0], max = [\"1 cm\", \"1 cm\", \"1 cm\"] }\nmesh_unit = \"cm\"",
+                "beside mesh alone",
+            ),
             ("phantom = { organ = \"liver\", sed = 1 }", "did you mean \"seed\""),
         ] {
             let error = scene(shape).unwrap_err().to_string();

@@ -18,7 +18,7 @@ pub struct TaskSource {
     /// What has to be done, in this order; one at least.
     pub stages: Vec<StageSource>,
     /// The task has failed when it takes longer [s].
-    pub time_limit_s: Option<f64>,
+    pub time_limit_s: f64,
     /// Force between an instrument and tissue above which it is noted [N]; that of `training::metrics` when absent.
     pub force_threshold_n: Option<f64>,
     /// What must not happen, whatever else was good.
@@ -180,6 +180,8 @@ const HINT_AFTER_S: f64 = 30.0;
 const SHARE_OF_LINE: f64 = 0.9;
 /// A place is near the middle of an endoscope's picture within this, where a stage says nothing [rad]: 10 degrees, a choice.
 const NEAR_MIDDLE_RAD: f64 = std::f64::consts::PI / 18.0;
+/// Time limit of a task that gives none [s]: nobody trains longer without a break, and what is written down grows. A choice.
+const LONGEST_S: f64 = 3600.0;
 /// Stages of a task at most: a choice.
 const MOST_STAGES: usize = 50;
 /// Clips, mistakes and slips are counted up to this.
@@ -190,7 +192,7 @@ pub(super) fn read_task(mut section: Section<'_>, tools: &[Tool]) -> Result<Task
     let title = section.string("title")?.ok_or_else(|| section.missing("title", "title = \"Palpation\""))?.0;
     let about = section.string("about")?.map(|about| about.0).unwrap_or_default();
     let begins_in_theatre = read_view(&mut section, tools)?;
-    let time_limit_s = section.positive("time_limit", Dimension::Time)?;
+    let time_limit_s = section.positive("time_limit", Dimension::Time)?.unwrap_or(LONGEST_S);
     let force_threshold_n = section.positive("force_threshold", Dimension::Force)?;
     let sections = section.sections("stage")?;
     if sections.is_empty() {
@@ -295,18 +297,43 @@ fn read_mark(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, Scen
     Ok(GoalSource::Mark { tool, near_m, within_m: table.required_length("within", WITHIN)? })
 }
 
+/// An instrument whose jaws hold tissue.
+fn read_holding_tool(
+    table: &mut Section<'_>,
+    tools: &[Tool],
+    goal: &'static str,
+) -> Result<usize, SceneError> {
+    let tool = read_tool(table, tools)?;
+    if tools[tool].kind.holds() {
+        return Ok(tool);
+    }
+    let found = format!("with the {}", tools[tool].kind.name());
+    Err(table.wrong_table(goal, found, "an instrument whose jaws hold tissue, such as a grasper".into()))
+}
+
 fn read_grasp(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
-    Ok(GoalSource::Grasp { tool: read_tool(table, tools)?, near_m: read_near(table)? })
+    Ok(GoalSource::Grasp { tool: read_holding_tool(table, tools, "grasp")?, near_m: read_near(table)? })
 }
 
 fn read_lift(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
-    let tool = read_tool(table, tools)?;
+    let tool = read_holding_tool(table, tools, "lift")?;
     let point_m = table.required_point("point", POINT)?;
     let by_m = table.required_length("by", "by = \"20 mm\"")?;
     Ok(GoalSource::Lift { tool, point_m, by_m, direction: table.direction("direction")? })
 }
 
-fn read_cut(table: &mut Section<'_>, _: &[Tool]) -> Result<GoalSource, SceneError> {
+/// Whether there is an instrument that divides tissue.
+fn check_cuts(table: &Section<'_>, tools: &[Tool], goal: &'static str) -> Result<(), SceneError> {
+    let cuts = |tool: &Tool| tool.kind.edge_cuts().is_some() || tool.kind.burning().is_some();
+    if tools.iter().any(|tool| cuts(tool) || tool.kind.parting_jaws().is_some()) {
+        return Ok(());
+    }
+    let allowed = "a scalpel, scissors, a hook or a cautery among the instruments".into();
+    Err(table.wrong_table(goal, "without an instrument that cuts".into(), allowed))
+}
+
+fn read_cut(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
+    check_cuts(table, tools, "cut")?;
     let (from_m, to_m) = read_ends(table)?;
     let within_m = table.required_length("within", WITHIN)?;
     let share = match table.number("share")? {
@@ -321,7 +348,8 @@ fn wrong_share(table: &Section<'_>, share: f64, at: Value<'_>) -> SceneError {
     table.wrong_value(at, "share", share.to_string(), "more than 0, at most 1")
 }
 
-fn read_part(table: &mut Section<'_>, _: &[Tool]) -> Result<GoalSource, SceneError> {
+fn read_part(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
+    check_cuts(table, tools, "part")?;
     let (from_m, to_m) = read_ends(table)?;
     Ok(GoalSource::Part { from_m, to_m })
 }
@@ -366,7 +394,8 @@ mod tests {
     const SCENE: &str = "glisson_scene = 1\n[organ]\nball = { center = [0, 0, 0], radius = \"4 cm\" }\n\
         tissue = \"liver\"\nmodel = \"implicit\"\n[[tool]]\nname = \"probe\"\nhome_tip = [0, \"-9 cm\", 0]\n\
         home_shaft = [0, -1, 0]\ntip_radius = \"3 mm\"\n[[tool]]\nname = \"left\"\nkind = \"grasper\"\n\
-        home_tip = [\"5 cm\", \"-9 cm\", 0]\nhome_shaft = [0, -1, 0]\ntip_radius = \"2 mm\"\n";
+        home_tip = [\"5 cm\", \"-9 cm\", 0]\nhome_shaft = [0, -1, 0]\ntip_radius = \"2 mm\"\n\
+        [[tool]]\nname = \"blade\"\nkind = \"scalpel\"\nhome_tip = [\"-5 cm\", \"-9 cm\", 0]\nhome_shaft = [0, -1, 0]\ntip_radius = \"1 mm\"\n";
 
     fn task(text: &str) -> Result<TaskSource, SceneError> {
         Scene::parse(&format!("{SCENE}{text}")).map(|scene| scene.task.unwrap())
@@ -382,10 +411,7 @@ mod tests {
              [[task.stage]]\ntitle = \"c\"\nbleed = { below = \"6 ml/min\" }\n",
         )
         .unwrap();
-        assert_eq!(
-            (read.title.as_str(), read.time_limit_s, read.force_threshold_n),
-            ("T", Some(120.0), Some(1.0))
-        );
+        assert_eq!((read.title.as_str(), read.time_limit_s, read.force_threshold_n), ("T", 120.0, Some(1.0)));
         assert_eq!(
             (read.gate.peak_force_n, read.gate.n_mistakes, read.gate.n_slips),
             (Some(5.0), Some(1), Some(0))

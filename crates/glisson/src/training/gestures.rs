@@ -7,7 +7,7 @@ use super::trace::{ToolTrace, Trace};
 const SHORTEST_S: f64 = 0.15;
 /// Jaws that hold tissue pull it when the tip is so far from where they closed [m]: a choice.
 const PULLED_M: f64 = 5e-3;
-/// Jaws that open by this share let go; tissue that goes without it has slipped: a choice.
+/// Jaws that have opened by this share since they took tissue let go; tissue that goes without it has slipped: a choice.
 const OPENED: f64 = 0.02;
 
 /// What an instrument does.
@@ -104,13 +104,17 @@ fn merged(found: Vec<Gesture>, shortest: usize) -> Vec<Gesture> {
     kept
 }
 
-/// Samples at which tissue slipped out of closed jaws.
-pub fn slips(tool: &ToolTrace) -> Vec<usize> {
-    let lost = |at: &usize| {
-        let (before, now) = (&tool.poses[at - 1], &tool.poses[*at]);
-        tool.n_held_nodes[at - 1] > 0
-            && tool.n_held_nodes[*at] == 0
-            && now.jaw_opening <= before.jaw_opening + OPENED
-    };
-    (1..tool.n_held_nodes.len()).filter(lost).collect()
+/// Samples at which tissue slipped out of jaws that had not opened since they took it. Tissue that an edit of the mesh took away, or
+/// its undoing, has not slipped.
+pub fn slips(trace: &Trace, tool: &ToolTrace) -> Vec<usize> {
+    let (mut found, mut closed_to) = (Vec::new(), f64::INFINITY);
+    for at in 1..tool.n_held_nodes.len() {
+        let holds = [at - 1, at].map(|at| tool.n_held_nodes[at] > 0);
+        let opening = tool.poses[at].jaw_opening;
+        if holds == [true, false] && opening <= closed_to + OPENED && !trace.is_edited[at] {
+            found.push(at);
+        }
+        closed_to = if holds[1] { closed_to.min(opening) } else { f64::INFINITY };
+    }
+    found
 }

@@ -165,7 +165,7 @@ pub const METRICS: &[Metric] = &[
         title: "Movements",
         unit: "",
         better: Better::Less,
-        formula: "stretches in which the tip is faster than 5 mm/s for 0.1 s at least",
+        formula: "stretches in which the tip is faster than 5 mm/s for 0.1 s at least; rests of less than 0.1 s do not end one",
         source: OURS,
         validity: Validity::None,
         value: Formula::Hand(|_, hand| Some(hand.movements.len() as f64)),
@@ -205,10 +205,10 @@ pub const METRICS: &[Metric] = &[
         title: "Idle time",
         unit: "s",
         better: Better::Less,
-        formula: "time in which the tip is slower than 5 mm/s and touches nothing",
+        formula: "time in which the tip is slower than 5 mm/s and touches nothing; not of endoscopes, which are to stand still",
         source: OROPESA,
         validity: Validity::SomeTasks,
-        value: Formula::Hand(|m, hand| Some(idle_s(m, hand))),
+        value: Formula::Hand(|m, hand| (!hand.tool.is_endoscope).then(|| idle_s(m, hand))),
     },
     Metric {
         name: "out_of_view_time",
@@ -219,7 +219,7 @@ pub const METRICS: &[Metric] = &[
         source: OURS,
         validity: Validity::None,
         value: Formula::Hand(|m, hand| {
-            let unseen = hand.tool.is_seen.iter().filter(|is_seen| !**is_seen).count();
+            let unseen = hand.tool.is_seen.iter().skip(1).filter(|is_seen| !**is_seen).count();
             (!hand.tool.is_seen.is_empty()).then(|| unseen as f64 * m.trace.period_s)
         }),
     },
@@ -238,7 +238,7 @@ pub const METRICS: &[Metric] = &[
         title: "Mean force",
         unit: "N",
         better: Better::Less,
-        formula: "size of the force on the instrument, mean over the time in which it touches tissue",
+        formula: "size of the force on the instrument, mean over the samples (10 ms) in which it touches",
         source: OURS,
         validity: Validity::None,
         value: Formula::Hand(mean_force_n),
@@ -258,7 +258,7 @@ pub const METRICS: &[Metric] = &[
         title: "Time above the force threshold",
         unit: "s",
         better: Better::Less,
-        formula: "time in which the force on the instrument exceeds the threshold",
+        formula: "time of the samples (10 ms) whose greatest force on the instrument exceeds the threshold",
         source: GRIP,
         validity: Validity::Defined,
         value: Formula::Hand(|m, hand| {
@@ -271,10 +271,10 @@ pub const METRICS: &[Metric] = &[
         title: "Slips",
         unit: "",
         better: Better::Less,
-        formula: "times at which tissue left the jaws while they did not open",
+        formula: "times at which tissue left jaws that had not opened since they took it",
         source: OURS,
         validity: Validity::None,
-        value: Formula::Hand(|_, hand| Some(slips(hand.tool).len() as f64)),
+        value: Formula::Hand(|m, hand| Some(slips(m.trace, hand.tool).len() as f64)),
     },
     Metric {
         name: "grasps",
@@ -291,7 +291,7 @@ pub const METRICS: &[Metric] = &[
         title: "Clashes of instruments",
         unit: "s",
         better: Better::Less,
-        formula: "time in which two instruments press on each other",
+        formula: "time of the samples (10 ms) at which two instruments press on each other",
         source: OURS,
         validity: Validity::None,
         value: Formula::Session(|m| {
@@ -333,6 +333,10 @@ pub const METRICS: &[Metric] = &[
 
 /// The mean of a smoothness over all free ways, by their times.
 fn smoothness(m: &Measured<'_>, hand: &Hand<'_>, of: fn(&[f64], f64) -> Option<f64>) -> Option<f64> {
+    // An endoscope works by being moved: no way of it is free.
+    if hand.tool.is_endoscope {
+        return None;
+    }
     let (mut sum, mut n_samples) = (0.0, 0);
     for way in &hand.free_ways {
         if let Some(value) = of(&hand.speeds_m_per_s[way.clone()], m.trace.period_s) {

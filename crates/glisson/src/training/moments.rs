@@ -14,7 +14,7 @@ pub enum Fault {
     Slip,
     /// Two instruments pressed on each other.
     Clash,
-    /// More blood came than at the sample before.
+    /// More blood comes than at the sample before.
     Bleeding,
     /// The task's goal was tried in the wrong way or place.
     Mistake,
@@ -27,7 +27,7 @@ impl Fault {
             Self::ForceAboveThreshold => "force above the threshold",
             Self::Slip => "tissue slipped out of the jaws",
             Self::Clash => "instruments pressed on each other",
-            Self::Bleeding => "a vessel began to bleed",
+            Self::Bleeding => "it began to bleed more",
             Self::Mistake => "mistake",
         }
     }
@@ -63,7 +63,7 @@ pub fn moments(trace: &Trace, threshold_n: f64) -> Vec<Moment> {
             let detail = format!("{}: up to {peak_n:.2} N, threshold {threshold_n:.2} N", tool.name);
             found.push(moment(trace, Fault::ForceAboveThreshold, (from, to), Some(place), detail));
         }
-        for at in slips(tool) {
+        for at in slips(trace, tool) {
             found.push(moment(trace, Fault::Slip, (at, at + 1), Some(place), tool.name.clone()));
         }
     }

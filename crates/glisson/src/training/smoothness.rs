@@ -33,19 +33,40 @@ pub fn sparc(speed_m_per_s: &[f64], period_s: f64) -> Option<f64> {
 /// The first `n_bins` magnitudes of the spectrum of `values` padded with zeros to `n`, a power of two, in shares of the greatest.
 /// Speeds are not negative: that is the first.
 fn magnitudes(values: &[f64], n: usize, n_bins: usize) -> Vec<f64> {
-    let turns: Vec<(f64, f64)> = (0..n).map(|i| libm::sincos(TAU * i as f64 / n as f64)).collect();
-    let of_bin = |bin: usize| {
-        let (mut sine, mut cosine, mut at) = (0.0, 0.0, 0);
-        for value in values {
-            let (s, c) = turns[at];
-            sine += value * s;
-            cosine += value * c;
-            at = (at + bin) & (n - 1);
+    let mut spectrum = vec![[0.0; 2]; n];
+    for (bin, value) in spectrum.iter_mut().zip(values) {
+        bin[0] = *value;
+    }
+    transform(&mut spectrum);
+    let magnitude = |[real, imaginary]: [f64; 2]| libm::hypot(real, imaginary);
+    spectrum[..n_bins].iter().map(|bin| magnitude(*bin) / magnitude(spectrum[0])).collect()
+}
+
+/// Discrete Fourier transform in place, by halves (Cooley and Tukey 1965, doi 10.1090/S0025-5718-1965-0178586-1); the length is a
+/// power of two.
+fn transform(values: &mut [[f64; 2]]) {
+    let n = values.len();
+    let shift = usize::BITS - n.trailing_zeros();
+    for i in 0..n {
+        let mirrored = if n > 1 { i.reverse_bits() >> shift } else { i };
+        if mirrored > i {
+            values.swap(i, mirrored);
         }
-        libm::hypot(sine, cosine)
-    };
-    let first = of_bin(0);
-    (0..n_bins).map(|bin| of_bin(bin) / first).collect()
+    }
+    let turns: Vec<(f64, f64)> = (0..n / 2).map(|i| libm::sincos(-TAU * i as f64 / n as f64)).collect();
+    let mut half = 1;
+    while half < n {
+        let stride = n / (2 * half);
+        for block in values.chunks_exact_mut(2 * half) {
+            let (low, high) = block.split_at_mut(half);
+            for (nth, (a, b)) in low.iter_mut().zip(high).enumerate() {
+                let (sine, cosine) = turns[nth * stride];
+                let turned = [b[0] * cosine - b[1] * sine, b[0] * sine + b[1] * cosine];
+                (*a, *b) = ([a[0] + turned[0], a[1] + turned[1]], [a[0] - turned[0], a[1] - turned[1]]);
+            }
+        }
+        half *= 2;
+    }
 }
 
 /// Log dimensionless jerk of a speed profile [m/s]: -ln(T^3 / v_max^2 times the integral of the squared second derivative of the
@@ -83,6 +104,21 @@ mod tests {
         assert!((jerk(&one, 0.01) - jerk(&ten, 0.01)).abs() < 1e-12);
         // The same bell, twice as slow.
         assert!((jerk(&one, 0.01) - jerk(&one, 0.02)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_fast_transform_is_the_sum_that_defines_it() {
+        for n in [1, 2, 8, 64] {
+            let values: Vec<f64> = (0..n).map(|i| libm::sin(0.7 * i as f64) + 0.1 * i as f64).collect();
+            let mut fast: Vec<[f64; 2]> = values.iter().map(|value| [*value, 0.0]).collect();
+            transform(&mut fast);
+            for (bin, [real, imaginary]) in fast.into_iter().enumerate() {
+                let turn = |i: usize| libm::sincos(-TAU * (bin * i) as f64 / n as f64);
+                let sum = values.iter().enumerate().map(|(i, value)| (turn(i).1 * value, turn(i).0 * value));
+                let (x, y) = sum.fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+                assert!((real - x).abs() < 1e-11 && (imaginary - y).abs() < 1e-11, "{n} {bin}");
+            }
+        }
     }
 
     #[test]

@@ -5,6 +5,7 @@ use crate::record::snapshot::{ContactKind, ContactPoints};
 use crate::tool::ToolInput;
 use crate::tool::endoscope::Eye;
 use crate::world::World;
+use crate::world::vessels::Vessels;
 
 /// Samples are so far apart [s], or a step where that is longer.
 pub const SAMPLE_PERIOD_S: f64 = 0.01;
@@ -24,8 +25,10 @@ pub struct Trace {
     pub removed_m3: Vec<f64>,
     /// Area that blades opened until each sample [m2].
     pub cut_area_m2: Vec<f64>,
-    /// Pairs of instruments that pressed on each other since the sample before.
+    /// Pairs of instruments that press on each other.
     pub n_clashing: Vec<u32>,
+    /// Whether the mesh changed since the sample before: a cut, a burn, or an edit that was undone.
+    pub is_edited: Vec<bool>,
 }
 
 /// An instrument at each sample.
@@ -99,6 +102,24 @@ pub struct TraceRecorder {
     since: Vec<Since>,
     contacts: ContactPoints,
     topology_version: u32,
+    /// What there was before the beginning.
+    before: Totals,
+}
+
+/// What a world counts from its start on.
+#[derive(Clone, Copy, Debug, Default)]
+struct Totals {
+    lost_m3: f64,
+    removed_m3: f64,
+    cut_area_m2: f64,
+}
+
+impl Totals {
+    fn of(world: &World) -> Self {
+        let lost_m3 = world.vessels().map_or(0.0, Vessels::lost_m3);
+        let (removed_m3, cut_area_m2) = (world.removed_volume_m3(), world.blades().cut_area_m2);
+        Self { lost_m3, removed_m3, cut_area_m2 }
+    }
 }
 
 impl TraceRecorder {
@@ -121,8 +142,9 @@ impl TraceRecorder {
             first_step: world.steps_made(),
             contacts: ContactPoints::default(),
             topology_version: world.organ().topology_version(),
+            before: Totals::of(world),
         };
-        recorder.take(world, 0.0);
+        recorder.take(world);
         recorder
     }
 
@@ -143,17 +165,14 @@ impl TraceRecorder {
         if !made.is_multiple_of(self.steps_per_sample) {
             return false;
         }
-        let edited = world.organ().topology_version() != self.topology_version;
-        let removed_m3 = match self.trace.removed_m3.last() {
-            Some(before_m3) if !edited => *before_m3,
-            _ => world.removed_volume_m3(),
-        };
-        self.topology_version = world.organ().topology_version();
-        self.take(world, removed_m3);
+        self.take(world);
         true
     }
 
-    fn take(&mut self, world: &World, removed_m3: f64) {
+    fn take(&mut self, world: &World) {
+        let version = world.organ().topology_version();
+        let is_edited = std::mem::replace(&mut self.topology_version, version) != version;
+        let before = self.before;
         let trace = &mut self.trace;
         let eyes: Vec<Eye> = (0..trace.tools.len()).filter_map(|tool| world.eye(tool)).collect();
         for (place, (tool, since)) in trace.tools.iter_mut().zip(&mut self.since).enumerate() {
@@ -172,10 +191,16 @@ impl TraceRecorder {
         }
         let (lost_m3, rate_m3_per_s) =
             world.vessels().map_or((0.0, 0.0), |vessels| (vessels.lost_m3(), vessels.bleeding_m3_per_s()));
-        trace.blood_lost_m3.push(lost_m3);
+        // To count the volume takes long; it changes with the mesh alone.
+        let removed_m3 = match trace.removed_m3.last() {
+            Some(last_m3) if !is_edited => *last_m3,
+            _ => (world.removed_volume_m3() - before.removed_m3).max(0.0),
+        };
+        trace.is_edited.push(is_edited);
+        trace.blood_lost_m3.push(lost_m3 - before.lost_m3);
         trace.bleeding_m3_per_s.push(rate_m3_per_s);
         trace.removed_m3.push(removed_m3);
-        trace.cut_area_m2.push(world.blades().cut_area_m2);
+        trace.cut_area_m2.push(world.blades().cut_area_m2 - before.cut_area_m2);
         let n_clashing = if trace.tools.len() < 2 {
             0
         } else {

@@ -39,6 +39,7 @@ fn quiet(n: usize) -> Trace {
         removed_m3: vec![0.0; n],
         cut_area_m2: vec![0.0; n],
         n_clashing: vec![0; n],
+        is_edited: vec![false; n],
     }
 }
 
@@ -177,6 +178,15 @@ fn each_fault_is_found_once_where_it_is() {
     let mut released = worked();
     released.tools[1].poses[400..].iter_mut().for_each(|pose| pose.jaw_opening = 0.5);
     assert!(moments(&released, 2.5).iter().all(|m| m.fault != Fault::Slip));
+    // So do jaws that open slowly; and what an edit takes away has not slipped.
+    let mut slowly = worked();
+    for at in 350..501 {
+        slowly.tools[1].poses[at].jaw_opening = 0.1 + 5e-4 * (at as f64 - 350.0);
+    }
+    assert!(moments(&slowly, 2.5).iter().all(|m| m.fault != Fault::Slip));
+    let mut cut_away = worked();
+    cut_away.is_edited[400] = true;
+    assert!(moments(&cut_away, 2.5).iter().all(|m| m.fault != Fault::Slip));
 }
 
 #[test]

@@ -15,9 +15,12 @@ pub(super) struct CutLine {
     from_m: DVec3,
     along: DVec3,
     length_m: f64,
-    /// Unit vector beside it, in the surface.
+    /// Unit vector beside it, in the surface, and normal of that.
     beside: DVec3,
+    normal: DVec3,
     within_m: f64,
+    /// The body that it is on.
+    body: u8,
 }
 
 /// How well a line was cut.
@@ -25,19 +28,18 @@ pub(super) struct CutLine {
 pub struct CutQuality {
     /// Share of the line beside which the tissue is cut, near enough.
     pub share: f64,
-    /// Mean distance of the cut's edge from the line, beside it in the surface [m].
-    pub mean_error_m: f64,
-    /// Greatest distance [m].
-    pub greatest_error_m: f64,
+    /// Mean and greatest distance of the cut's edge from the line, beside it in the surface [m]; none where nothing is cut.
+    pub errors_m: Option<[f64; 2]>,
 }
 
 impl CutLine {
     /// The line between two places.
     pub(super) fn new(from_m: DVec3, to_m: DVec3, within_m: f64, world: &World) -> Self {
         let along = (to_m - from_m).normalize();
-        let normal = normal_near((from_m + to_m) * 0.5, &world.display_topology());
+        let (normal, body) = surface_near((from_m + to_m) * 0.5, &world.display_topology());
         let beside = normal.cross(along).normalize_or(along.any_orthonormal_vector());
-        Self { from_m, along, length_m: from_m.distance(to_m), beside, within_m }
+        let normal = along.cross(beside);
+        Self { from_m, along, length_m: from_m.distance(to_m), beside, normal, within_m, body }
     }
 
     /// How well the tissue is cut along it.
@@ -46,40 +48,46 @@ impl CutLine {
             let from = surface.rest_positions_m[vertex as usize] - self.from_m;
             (from.dot(self.along), from.dot(self.beside).abs())
         };
-        let (mut covered, mut quality) = (Vec::new(), CutQuality::default());
+        let (mut covered, mut greatest_m) = (Vec::new(), 0.0_f64);
         let (mut sum_m2, mut length_m) = (0.0, 0.0);
-        for [a, b] in rim(surface) {
+        for ([a, b], outward) in rim(surface) {
+            // Not the other side of an organ that was cut through, and no other organ.
+            if outward.dot(self.normal) <= 0.0 || surface.body_of[a as usize] != self.body {
+                continue;
+            }
             let ((a_m, a_off_m), (b_m, b_off_m)) = (place(a), place(b));
             let (from_m, to_m) = (a_m.min(b_m).max(0.0), a_m.max(b_m).min(self.length_m));
             let off_m = a_off_m.max(b_off_m);
             if to_m <= from_m || off_m > FAR * self.within_m {
                 continue;
             }
-            quality.greatest_error_m = quality.greatest_error_m.max(off_m);
+            greatest_m = greatest_m.max(off_m);
             sum_m2 += 0.5 * (a_off_m + b_off_m) * (to_m - from_m);
             length_m += to_m - from_m;
             if off_m <= self.within_m {
                 covered.push((from_m, to_m));
             }
         }
-        if length_m > 0.0 {
-            quality.mean_error_m = sum_m2 / length_m;
+        CutQuality {
+            share: length_of_union_m(covered) / self.length_m,
+            errors_m: (length_m > 0.0).then(|| [sum_m2 / length_m, greatest_m]),
         }
-        quality.share = length_of_union_m(covered) / self.length_m;
-        quality
     }
 }
 
-/// Edges of the surface between a face of a cut and the organ's own skin.
-fn rim(surface: &DisplayTopology) -> impl Iterator<Item = [u32; 2]> {
-    let mut sides: BTreeMap<[u32; 2], [bool; 2]> = BTreeMap::new();
-    for (triangle, is_cut) in surface.triangles.iter().zip(&surface.is_cut) {
+/// Edges of the surface between a face of a cut and the organ's own skin, with the normal of the skin.
+fn rim(surface: &DisplayTopology) -> impl Iterator<Item = ([u32; 2], DVec3)> {
+    let mut sides: BTreeMap<[u32; 2], [Option<usize>; 2]> = BTreeMap::new();
+    for (number, (triangle, is_cut)) in surface.triangles.iter().zip(&surface.is_cut).enumerate() {
         for i in 0..3 {
             let (a, b) = (triangle[i], triangle[(i + 1) % 3]);
-            sides.entry([a.min(b), a.max(b)]).or_default()[usize::from(*is_cut)] = true;
+            sides.entry([a.min(b), a.max(b)]).or_default()[usize::from(*is_cut)] = Some(number);
         }
     }
-    sides.into_iter().filter(|(_, sides)| sides[0] && sides[1]).map(|(edge, _)| edge)
+    sides.into_iter().filter_map(|(edge, [skin, cut])| {
+        cut?;
+        Some((edge, normal_of(&surface.triangles[skin?], surface)))
+    })
 }
 
 fn length_of_union_m(mut stretches_m: Vec<(f64, f64)>) -> f64 {
@@ -92,11 +100,20 @@ fn length_of_union_m(mut stretches_m: Vec<(f64, f64)>) -> f64 {
     length_m
 }
 
-/// Normal of the surface at rest nearest to a place.
-fn normal_near(p_m: DVec3, surface: &DisplayTopology) -> DVec3 {
-    let corners = |triangle: &[u32; 3]| triangle.map(|vertex| surface.rest_positions_m[vertex as usize]);
+fn corners_m(triangle: &[u32; 3], surface: &DisplayTopology) -> [DVec3; 3] {
+    triangle.map(|vertex| surface.rest_positions_m[vertex as usize])
+}
+
+/// Outward unit normal of a triangle at rest.
+fn normal_of(triangle: &[u32; 3], surface: &DisplayTopology) -> DVec3 {
+    let [a, b, c] = corners_m(triangle, surface);
+    (b - a).cross(c - a).normalize_or(DVec3::Z)
+}
+
+/// Normal of the surface at rest nearest to a place, and its body.
+fn surface_near(p_m: DVec3, surface: &DisplayTopology) -> (DVec3, u8) {
     let away_m = |triangle: &[u32; 3]| {
-        let corners_m = corners(triangle);
+        let corners_m = corners_m(triangle, surface);
         let weights = closest_point_barycentric(p_m, corners_m);
         corners_m
             .into_iter()
@@ -106,9 +123,8 @@ fn normal_near(p_m: DVec3, surface: &DisplayTopology) -> DVec3 {
             .distance(p_m)
     };
     let nearest = surface.triangles.iter().min_by(|a, b| away_m(a).total_cmp(&away_m(b)));
-    nearest.map_or(DVec3::Z, |triangle| {
-        let [a, b, c] = corners(triangle);
-        (b - a).cross(c - a).normalize_or(DVec3::Z)
+    nearest.map_or((DVec3::Z, 0), |triangle| {
+        (normal_of(triangle, surface), surface.body_of[triangle[0] as usize])
     })
 }
 
@@ -132,7 +148,7 @@ mod tests {
             rest_positions_m: (0..33).map(|n| at(n % 11, n / 11)).collect(),
             triangles: Vec::new(),
             is_cut: Vec::new(),
-            body_of: Vec::new(),
+            body_of: vec![0; 33],
         };
         for j in 0..2 {
             for i in 0..10 {
@@ -146,14 +162,20 @@ mod tests {
             along: DVec3::X,
             length_m: 10.0,
             beside: DVec3::Y,
+            normal: DVec3::Z,
             within_m,
+            body: 0,
         };
         let quality = line(1.0, 0.15).quality(&surface);
         assert!((quality.share - 0.6).abs() < 1e-12, "{quality:?}");
-        assert!((quality.greatest_error_m - 0.1).abs() < 1e-12);
-        assert!((quality.mean_error_m - 0.05).abs() < 1e-12);
+        let [mean_m, greatest_m] = quality.errors_m.unwrap();
+        assert!((greatest_m - 0.1).abs() < 1e-12 && (mean_m - 0.05).abs() < 1e-12);
         assert_eq!(line(1.0, 0.05).quality(&surface).share, 0.0, "each edge has an end 0.1 beside");
         assert_eq!(line(-3.0, 0.15).quality(&surface), CutQuality::default(), "another cut");
+        let other = CutLine { body: 1, ..line(1.0, 0.15) };
+        assert_eq!(other.quality(&surface), CutQuality::default(), "another body");
+        let behind = CutLine { normal: DVec3::NEG_Z, ..line(1.0, 0.15) };
+        assert_eq!(behind.quality(&surface), CutQuality::default(), "the other side");
         surface.is_cut.fill(false);
         assert_eq!(line(1.0, 0.15).quality(&surface), CutQuality::default());
     }

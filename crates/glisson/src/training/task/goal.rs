@@ -6,6 +6,7 @@ use crate::math::DVec3;
 use crate::mesh::topology::{Pieces, Through};
 use crate::scene::GoalSource;
 use crate::world::World;
+use crate::world::vessels::Vessels;
 
 /// Tissue that jaws hold is at a place when their tip is so near it, or nearer than the goal says [m]: the places that they hold are
 /// around the tip.
@@ -43,7 +44,19 @@ pub(super) struct Goal {
     topology_version: Option<u32>,
     pieces: Pieces,
     are_apart: bool,
-    was_triggered: bool,
+    /// Clips that were there at the beginning.
+    n_clips_before: usize,
+}
+
+/// A trigger that was pressed since the last look, and where its tip touched then.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Press {
+    pub(super) tool: usize,
+    pub(super) touched_at_rest_m: Option<DVec3>,
+}
+
+fn n_clips_set(world: &World) -> usize {
+    world.vessels().map_or(0, Vessels::n_clips)
 }
 
 impl Goal {
@@ -73,7 +86,7 @@ impl Goal {
             topology_version: None,
             pieces: Pieces::default(),
             are_apart: false,
-            was_triggered: false,
+            n_clips_before: n_clips_set(world),
         })
     }
 
@@ -82,49 +95,57 @@ impl Goal {
         self.line.as_ref().map(|_| self.quality)
     }
 
+    /// Looks at the cut along its line, if it has one and the mesh changed; also when its stage is over, because somebody may cut on.
+    pub(super) fn measure(&mut self, world: &World) {
+        if self.line.is_some() && self.is_edited(world) {
+            let surface = world.display_topology();
+            self.quality = self.line.as_ref().map(|line| line.quality(&surface)).unwrap_or_default();
+        }
+    }
+
     /// How far it is after a step.
-    pub(super) fn look(&mut self, world: &World) -> Look {
+    pub(super) fn look(&mut self, world: &World, presses: &[Press]) -> Look {
         match self.source {
             GoalSource::Reach { tool, point_m, within_m } => {
                 let away_m = world.tool_pose(tool).tip_in_world_m.distance(point_m);
                 Look { share: (within_m / away_m).min(1.0), holds: away_m <= within_m, mistake: None }
             }
             GoalSource::Touch { tool, near_m } => Look::of(self.touches(world, tool, near_m)),
-            GoalSource::Mark { tool, near_m, within_m } => self.marks(world, tool, (near_m, within_m)),
+            GoalSource::Mark { tool, near_m, within_m } => {
+                marks(presses.iter().filter(|press| press.tool == tool), (near_m, within_m))
+            }
             GoalSource::Grasp { tool, near_m } => {
                 let is_near = near_m.is_none_or(|(_, within_m)| {
                     let tip_m = world.tool_pose(tool).tip_in_world_m;
-                    self.places[0].position_m(world).distance(tip_m) <= within_m.max(HELD_NEAR_M)
+                    let place_m = self.places[0].position_m(world);
+                    place_m.is_some_and(|place_m| place_m.distance(tip_m) <= within_m.max(HELD_NEAR_M))
                 });
                 Look::of(world.report().tools[tool].n_held_nodes > 0 && is_near)
             }
             GoalSource::Lift { tool, by_m, direction, .. } => {
-                let place = &mut self.places[0];
-                let moved_m = place.position_m(world) - place.rest_m();
+                let Some(moved_m) = self.places[0].moved_m(world) else { return Look::default() };
                 let way_m = direction.map_or(moved_m.length(), |direction| moved_m.dot(direction));
                 let look = Look::towards(way_m, by_m);
                 Look { holds: look.holds && world.report().tools[tool].n_held_nodes > 0, ..look }
             }
             GoalSource::Cut { share, .. } => {
-                if self.is_edited(world)
-                    && let Some(line) = &self.line
-                {
-                    self.quality = line.quality(&world.display_topology());
-                }
+                self.measure(world);
                 Look::towards(self.quality.share, share)
             }
             GoalSource::Part { .. } => {
                 if self.is_edited(world) {
                     world.organ().body().topology().pieces_into(Through::Faces, &mut self.pieces);
-                    let piece = |place: &mut Landmark| self.pieces.of_tet[place.tet(world).index()];
+                    let piece =
+                        |place: &mut Landmark| place.tet(world).map(|tet| self.pieces.of_tet[tet.index()]);
                     let [from, to] = &mut self.places[..] else { return Look::default() };
-                    self.are_apart = piece(from) != piece(to);
+                    let both = piece(from).zip(piece(to));
+                    // Where tissue of one is gone there is nothing that hangs together with the other.
+                    self.are_apart = both.is_none_or(|(from, to)| from != to);
                 }
                 Look::of(self.are_apart)
             }
             GoalSource::See { tool, within_rad, nearer_than_m, .. } => {
-                let place_m = self.places[0].position_m(world);
-                let Some(eye) = world.eye(tool) else {
+                let Some((eye, place_m)) = world.eye(tool).zip(self.places[0].position_m(world)) else {
                     return Look::default();
                 };
                 let is_near =
@@ -134,12 +155,11 @@ impl Goal {
                 Look { share: (within_rad / off_rad.max(1e-9)).min(1.0), holds, mistake: None }
             }
             GoalSource::Clip { n_clips } => {
-                let set = world.vessels().map_or(0, crate::world::vessels::Vessels::n_clips);
+                let set = n_clips_set(world).saturating_sub(self.n_clips_before);
                 Look::towards(set as f64, f64::from(n_clips))
             }
             GoalSource::Bleed { below_m3_per_s } => {
-                let rate_m3_per_s =
-                    world.vessels().map_or(0.0, crate::world::vessels::Vessels::bleeding_m3_per_s);
+                let rate_m3_per_s = world.vessels().map_or(0.0, Vessels::bleeding_m3_per_s);
                 Look::of(rate_m3_per_s <= below_m3_per_s)
             }
         }
@@ -158,19 +178,17 @@ impl Goal {
             near_m.is_none_or(|(near_m, within_m)| touched_m.distance(near_m) <= within_m)
         })
     }
+}
 
-    fn marks(&mut self, world: &World, tool: usize, (near_m, within_m): (DVec3, f64)) -> Look {
-        let is_triggered = world.tool_pose(tool).is_triggered();
-        if std::mem::replace(&mut self.was_triggered, is_triggered) || !is_triggered {
-            return Look::default();
-        }
-        match world.touched_at_rest_m(tool) {
-            None => Look { mistake: Some("marked without touching the tissue".into()), ..Look::default() },
-            Some(touched_m) if touched_m.distance(near_m) <= within_m => Look::of(true),
-            Some(touched_m) => {
-                let off_mm = 1e3 * touched_m.distance(near_m);
-                Look { mistake: Some(format!("marked {off_mm:.0} mm from the place")), ..Look::default() }
-            }
+/// What came of the presses of a trigger, where a place is to be marked.
+fn marks<'a>(presses: impl Iterator<Item = &'a Press>, (near_m, within_m): (DVec3, f64)) -> Look {
+    let mut look = Look::default();
+    for press in presses {
+        match press.touched_at_rest_m.map(|touched_m| touched_m.distance(near_m)) {
+            None => look.mistake = Some("marked without touching the tissue".into()),
+            Some(off_m) if off_m <= within_m => return Look::of(true),
+            Some(off_m) => look.mistake = Some(format!("marked {:.0} mm from the place", 1e3 * off_m)),
         }
     }
+    look
 }

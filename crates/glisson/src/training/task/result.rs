@@ -111,7 +111,7 @@ pub struct TaskRecord {
     pub(super) outcome: Option<Outcome>,
     pub(super) stages: Vec<StageResult>,
     pub(super) mistakes: Vec<Moment>,
-    pub(super) quality: Option<CutQuality>,
+    pub(super) qualities: Vec<CutQuality>,
 }
 
 impl TaskRecord {
@@ -125,9 +125,9 @@ impl TaskRecord {
         self.source.force_threshold_n.unwrap_or(GRIP_OF_PORCINE_LIVER_N)
     }
 
-    /// The assessment. Takes some milliseconds a minute, more where movements are long: not for every step.
+    /// The assessment. Takes some milliseconds a minute: not for every step.
     pub fn result(&self) -> TaskResult {
-        let Self { source: task, trace, outcome, stages, mistakes, quality } = self;
+        let Self { source: task, trace, outcome, stages, mistakes, qualities } = self;
         let threshold_n = self.threshold_n();
         let mut all = moments(trace, threshold_n);
         all.extend(mistakes.iter().cloned());
@@ -136,7 +136,7 @@ impl TaskRecord {
         let mut metrics: Vec<MetricLine> = values.iter().map(|value| line(trace, value)).collect();
         let tried = ("", "goals that were tried in the wrong way or place");
         metrics.push(own_line("mistakes", "Mistakes", mistakes.len() as f64, tried));
-        metrics.extend(quality.iter().flat_map(|quality| cut_lines(*quality)));
+        metrics.extend(cut_lines(qualities));
         let gate = gate_lines(&task.gate, trace, mistakes.len());
         TaskResult {
             title: task.title.clone(),
@@ -186,36 +186,34 @@ fn own_line(
     MetricLine { name, title, tool: None, value, unit, better, formula, source: "ours", validity }
 }
 
-fn cut_lines(quality: CutQuality) -> [MetricLine; 3] {
-    [
-        MetricLine {
-            better: Better::More,
-            ..own_line(
-                "cut_share",
-                "Share of the line that is cut",
-                quality.share,
-                ("", "length of the line beside which a cut runs, near enough, over its length"),
-            )
-        },
-        own_line(
-            "cut_error_mean",
-            "Mean cut error",
-            quality.mean_error_m,
-            ("m", "mean distance of the cut's edge from the line, in the surface at rest"),
-        ),
-        own_line(
-            "cut_error_greatest",
-            "Greatest cut error",
-            quality.greatest_error_m,
-            ("m", "greatest distance of the cut's edge from the line, in the surface at rest"),
-        ),
-    ]
+/// Of all lines that were to be cut: the least share, the mean and the greatest error.
+fn cut_lines(qualities: &[CutQuality]) -> Vec<MetricLine> {
+    let share = qualities.iter().map(|quality| quality.share).reduce(f64::min);
+    let errors_m: Vec<[f64; 2]> = qualities.iter().filter_map(|quality| quality.errors_m).collect();
+    let mean_m = errors_m.iter().map(|errors_m| errors_m[0]).sum::<f64>() / errors_m.len() as f64;
+    let greatest_m = errors_m.iter().map(|errors_m| errors_m[1]).reduce(f64::max);
+    let along =
+        "length of the line beside which a cut runs, near enough, over its length; the least of all lines";
+    let mean = "mean distance of the cut's edge from its line, in the surface at rest; what is further away than four times what is \
+                allowed is another cut";
+    let mut lines = Vec::new();
+    if let Some(share) = share {
+        let line = own_line("cut_share", "Share of the line that is cut", share, ("", along));
+        lines.push(MetricLine { better: Better::More, ..line });
+    }
+    // What is not cut has no error.
+    if let Some(greatest_m) = greatest_m {
+        lines.push(own_line("cut_error_mean", "Mean cut error", mean_m, ("m", mean)));
+        let greatest = "greatest distance of the cut's edge from its line, as the mean";
+        lines.push(own_line("cut_error_greatest", "Greatest cut error", greatest_m, ("m", greatest)));
+    }
+    lines
 }
 
 fn gate_lines(gate: &GateSource, trace: &Trace, n_mistakes: usize) -> Vec<GateLine> {
     let peaks_n = trace.tools.iter().flat_map(|tool| tool.peak_force_n.iter().copied());
     let last = |values: &[f64]| values.last().copied().unwrap_or(0.0);
-    let n_slips: usize = trace.tools.iter().map(|tool| slips(tool).len()).sum();
+    let n_slips: usize = trace.tools.iter().map(|tool| slips(trace, tool).len()).sum();
     let count = |n: Option<u32>| n.map(f64::from);
     [
         ("greatest force", "N", gate.peak_force_n, peaks_n.fold(0.0, f64::max)),

@@ -1,6 +1,6 @@
 //! A task that somebody does: which stage it is at, and what is written down for its assessment.
 
-use super::goal::{Goal, Look};
+use super::goal::{Goal, Look, Press};
 use super::result::{Outcome, StageResult, TaskRecord};
 use crate::math::DVec3;
 use crate::scene::{GoalSource, TaskSource};
@@ -25,10 +25,20 @@ pub enum TaskError {
         /// The place [m].
         point_m: DVec3,
     },
+    /// Two places that are to be parted and do not hang together.
+    #[error(
+        "stage {stage} of the task, \"{title}\": its two places do not hang together at the beginning; take two of one piece"
+    )]
+    Apart {
+        /// Which stage, from 1.
+        stage: usize,
+        /// What it is called.
+        title: String,
+    },
     /// A goal about vessels in an organ without any.
     #[error(
-        "stage {stage} of the task, \"{title}\", is about vessels, and the organ has none: give it vessels = \"vessels.csv\", or \
-         phantom = {{ vessels = true }}"
+        "stage {stage} of the task, \"{title}\", is about vessels, and the organ has none: give it [[organ.vessel]], \
+         vessels = \"vessels.csv\", or phantom = {{ vessels = true }}"
     )]
     NoVessels {
         /// Which stage, from 1.
@@ -108,7 +118,7 @@ pub struct TaskStatus {
     /// Simulated time at which it ended [s], once it has.
     pub ended_s: Option<f64>,
     /// How long it may take [s].
-    pub time_limit_s: Option<f64>,
+    pub time_limit_s: f64,
     /// Once it is over.
     pub outcome: Option<Outcome>,
 }
@@ -129,6 +139,9 @@ pub struct TaskRun {
     stage_began_s: f64,
     holds_since_s: Option<f64>,
     look: Look,
+    /// Which triggers were pressed after the last step, and which have been pressed since the last sample.
+    was_triggered: Vec<bool>,
+    presses: Vec<Press>,
     stages: Vec<StageResult>,
     mistakes: Vec<Moment>,
     began_s: Option<f64>,
@@ -148,7 +161,12 @@ impl TaskRun {
                 return Err(TaskError::NoVessels { stage, title });
             }
             let goal = Goal::new(of.goal, world);
-            goals.push(goal.map_err(|point_m| TaskError::NoTissue { stage, title, point_m })?);
+            let no_tissue = |point_m| TaskError::NoTissue { stage, title: title.clone(), point_m };
+            let mut goal = goal.map_err(no_tissue)?;
+            if matches!(of.goal, GoalSource::Part { .. }) && goal.look(world, &[]).holds {
+                return Err(TaskError::Apart { stage, title });
+            }
+            goals.push(goal);
         }
         Ok(Self {
             source: source.clone(),
@@ -159,6 +177,8 @@ impl TaskRun {
             stage_began_s: 0.0,
             holds_since_s: None,
             look: Look::default(),
+            was_triggered: vec![false; world.tools().len()],
+            presses: Vec::new(),
             stages: Vec::new(),
             mistakes: Vec::new(),
             began_s: None,
@@ -176,11 +196,17 @@ impl TaskRun {
 
     /// After each step. Once the task is over nothing more is written down.
     pub fn after_step(&mut self, world: &World) {
-        if self.outcome.is_some() || !self.has_begun(world) || !self.recorder.after_step(world) {
+        if self.outcome.is_some() {
+            return;
+        }
+        self.note_presses(world);
+        if !self.has_begun(world) || !self.recorder.after_step(world) {
             return;
         }
         let now_s = self.recorder.trace().duration_s();
-        let look = self.goals[self.stage].look(world);
+        self.goals.iter_mut().for_each(|goal| goal.measure(world));
+        let look = self.goals[self.stage].look(world, &self.presses);
+        self.presses.clear();
         if let Some(mistake) = &look.mistake {
             let detail = format!("{}: {mistake}", self.source.stages[self.stage].title);
             self.mistakes.push(Moment {
@@ -198,8 +224,19 @@ impl TaskRun {
         if self.holds_since_s.is_some_and(|since_s| now_s - since_s >= hold_s - 1e-9) {
             self.end_stage(now_s);
         }
-        if self.outcome.is_none() && self.source.time_limit_s.is_some_and(|limit_s| now_s >= limit_s) {
+        if self.outcome.is_none() && now_s >= self.source.time_limit_s {
             self.outcome = Some(Outcome::TimeOver);
+        }
+    }
+
+    /// Notes triggers that were pressed in this step.
+    fn note_presses(&mut self, world: &World) {
+        for (tool, was_triggered) in self.was_triggered.iter_mut().enumerate() {
+            let is_triggered = world.tool_pose(tool).is_triggered();
+            if is_triggered && !std::mem::replace(was_triggered, is_triggered) {
+                self.presses.push(Press { tool, touched_at_rest_m: world.touched_at_rest_m(tool) });
+            }
+            *was_triggered = is_triggered;
         }
     }
 
@@ -269,7 +306,7 @@ impl TaskRun {
             outcome: self.outcome,
             stages: self.stages.clone(),
             mistakes: self.mistakes.clone(),
-            quality: self.goals.iter().find_map(Goal::cut_quality),
+            qualities: self.goals.iter().filter_map(Goal::cut_quality).collect(),
         }
     }
 }

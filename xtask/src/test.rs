@@ -193,7 +193,29 @@ fn browser(scene: &Path) -> anyhow::Result<()> {
             .context("cannot start npm")?;
         anyhow::ensure!(status.success(), "the browser test failed ({status}): {tests} {}", more.join(" "));
     }
-    theatre(scene, &chromium)
+    theatre(scene, &chromium)?;
+    replay(scene, &chromium)
+}
+
+/// A recorded task as one file, opened from disk.
+fn replay(demo_scene: &Path, chromium: &Path) -> anyhow::Result<()> {
+    let out = demo_scene.with_file_name("tasks");
+    let (session, page) = (out.join("palpation.jsonl"), out.join("palpation.replay.html"));
+    let [out, session, page_name] = [&out, &session, &page].map(|path| path.to_string_lossy());
+    let program = program();
+    let program = program.to_string_lossy();
+    run(&program, &["task", "run", "palpation", "--headless", "--out", &out])?;
+    run(&program, &["export", &session, "--html", &page_name, "--check"])?;
+    println!("$ npm run test:replay (GLISSON_REPLAY={page_name})");
+    let status = Command::new("npm")
+        .args(["run", "test:replay"])
+        .current_dir(root().join("web"))
+        .env("GLISSON_REPLAY", root().join(&page))
+        .env("CHROMIUM", chromium)
+        .status()
+        .context("cannot start npm")?;
+    anyhow::ensure!(status.success(), "the browser test failed ({status}): test:replay");
+    Ok(())
 }
 
 /// The view through an endoscope, of the same liver in a scene of its own.

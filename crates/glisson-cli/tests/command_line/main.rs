@@ -3,6 +3,7 @@
 
 mod broken;
 mod devices;
+mod export;
 mod images;
 mod link;
 mod precompute;
@@ -84,6 +85,7 @@ fn help_and_wrong_command_lines() {
         "watch",
         "devices",
         "replay",
+        "export",
         "bench",
         "validate",
         "demo",

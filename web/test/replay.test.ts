@@ -2,6 +2,7 @@ import { readFileSync } from "node:fs";
 import { describe, expect, it } from "vitest";
 import { BINDINGS } from "../src/keys";
 import { PLAYER_BINDINGS, PLAYER_BUTTONS } from "../src/replay/keys";
+import { between } from "../src/replay/between";
 import { Taker } from "../src/replay/bytes";
 import { bytesOfBase64 } from "../src/replay/page";
 import { neighbour, Playback } from "../src/replay/playback";
@@ -83,6 +84,26 @@ describe("a recording", () => {
     changed[FIXTURE.length - 100] ^= 0xff;
     const recording = await Recording.read(changed);
     await expect(recording.load(70)).rejects.toThrow();
+  });
+});
+
+describe("between two frames", () => {
+  it("things are on straight lines, but where another surface follows", async () => {
+    const recording = await Recording.read(FIXTURE);
+    const [a, b, c] = [(await frameOf(recording, 38)).snapshot, (await frameOf(recording, 39)).snapshot, (await frameOf(recording, 40)).snapshot];
+    const half = between(a, b, 0.5);
+    half.positions_m.forEach((x, i) => expect(x).toBeCloseTo((a.positions_m[i] + b.positions_m[i]) / 2, 7));
+    expect(half.header.tools[0].tip_m[0]).toBeCloseTo((a.header.tools[0].tip_m[0] + b.header.tools[0].tip_m[0]) / 2, 12);
+    expect(half.header.tools[0].heldNodes).toBe(a.header.tools[0].heldNodes);
+    expect(between(a, b, 0)).toBe(a);
+    expect(between(b, c, 0.5)).toBe(b);
+  });
+
+  it("an instrument that was put elsewhere does not fly there", async () => {
+    const recording = await Recording.read(FIXTURE);
+    const a = (await frameOf(recording, 0)).snapshot;
+    const far = { ...a, header: { ...a.header, tools: a.header.tools.map((tool) => ({ ...tool, tip_m: [1, 0, 0] as const })) } };
+    expect(between(a, far, 0.5).header.tools).toEqual(a.header.tools);
   });
 });
 

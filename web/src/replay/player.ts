@@ -9,15 +9,16 @@ import { SURFACE_STYLES } from "../organ";
 import { Help, helpOf, Messages, savePicture } from "../overlays";
 import { Panel, panelValues } from "../panel";
 import { arrowScale_m_per_n, drawPlot, ForceHistory, PLOT_SPAN_S } from "../plot";
-import { headerOfHand, type HandHeader, type Hello, type Topology } from "../protocol";
+import { headerOfHand, type HandHeader, type Hello, type SnapshotHeader, type Topology } from "../protocol";
 import { Resolution } from "../resolution";
 import { Scene3d } from "../scene3d";
 import { Theatre } from "../theatre/view";
+import { between } from "./between";
 import { PLAYER_BINDINGS, PLAYER_BUTTONS, PLAYER_MOUSE, type PlayerAction } from "./keys";
 import { MomentList } from "./moments";
 import type { ReplayPage } from "./page";
 import { neighbour, Playback } from "./playback";
-import type { Recording } from "./recording";
+import type { Recording, Shown } from "./recording";
 import { Timeline } from "./timeline";
 
 /** A press of a key turns the view as so many pixels do. */
@@ -59,6 +60,9 @@ export class Player {
   private topology: Topology | null = null;
   private header: HandHeader | null = null;
   private shownFrame = -1;
+  /** As drawn, between that frame and the next. */
+  private drawn: SnapshotHeader | null = null;
+  private drawn_s = -1;
   private viewChanged = true;
   private sceneChanged = true;
   private frameAsked = false;
@@ -241,10 +245,10 @@ export class Player {
     this.playback.advance(dt_s);
     this.lastFrame_ms = this.playback.playing ? now_ms : null;
     this.take(this.frameNow);
-    if (this.sceneChanged && this.header !== null) {
+    if (this.sceneChanged && this.drawn !== null) {
       this.scene.styleTools(arrowScale_m_per_n(Math.max(...this.largest_n)), this.shown.forces, true);
-      this.scene.showTools(this.header);
-      this.theatre.take(this.header);
+      this.scene.showTools(this.drawn);
+      this.theatre.take(this.drawn);
       this.scene.render(this.resolution.moving(now_ms));
       this.sceneChanged = false;
       this.scene.renderFinerAtRest(() => this.sceneChanged);
@@ -255,19 +259,26 @@ export class Player {
     if (this.playback.playing) this.invalidate();
   }
 
-  /** Takes a frame of the recording to the picture, as soon as it is unpacked. */
+  /** Takes a frame of the recording to the picture, as soon as it is unpacked, and what is on the way to the next one. */
   private take(frame: number): void {
-    if (frame === this.shownFrame) return;
+    const { recording, playback: { time_s } } = this;
+    if (frame === this.shownFrame && time_s === this.drawn_s) return;
     try {
-      const found = this.recording.at(frame, () => this.invalidate(), (error) => this.fail(error));
+      const look = (at: number): Shown | null => recording.at(at, () => this.invalidate(), (error) => this.fail(error));
+      const found = look(frame);
       if (found === null) return;
-      const hello = this.recording.helloAt(frame);
+      const hello = recording.helloAt(frame);
       if (hello !== this.hello) this.begin(hello);
-      if (found.topology !== this.topology) {
+      if (found.topology.version !== this.topology?.version) {
         this.topology = found.topology;
         this.scene.setTopology(found.topology);
       }
-      this.scene.show(found.snapshot);
+      const next = frame + 1 < recording.nFrames ? look(frame + 1) : null;
+      const share = next === null ? 0 : (time_s - recording.times_s[frame]) / (recording.times_s[frame + 1] - recording.times_s[frame]);
+      const drawn = next === null ? found.snapshot : between(found.snapshot, next.snapshot, Math.min(1, share));
+      this.scene.show(drawn);
+      this.drawn = drawn.header;
+      this.drawn_s = time_s;
       this.header = headerOfHand(found.snapshot.header, this.scene.chosen);
       this.shownFrame = frame;
       this.sceneChanged = true;

@@ -14,11 +14,13 @@ const VERSION = 1;
 const N_VERTICES_AT = 56;
 /** Blocks that stay unpacked. */
 const MOST_KEPT = 6;
+/** Frames that stay decoded: the one that is shown, and the next. */
+const MOST_RECENT = 3;
 
 /** What is shown at a time. */
 export interface Shown {
   readonly snapshot: Snapshot;
-  /** Another object when the surface is another. */
+  /** With another version when the surface is another. */
   readonly topology: Topology;
 }
 
@@ -91,6 +93,8 @@ export class Recording {
   private readonly wholes = new Map<number, Surface>();
   private readonly topologies = new WeakMap<Surface, Topology>();
   private cursor: Cursor | null = null;
+  /** The frames that were looked at last. */
+  private readonly recent = new Map<number, Shown>();
 
   /** Reads a recording. @throws ProtocolError */
   static async read(bytes: Uint8Array): Promise<Recording> {
@@ -183,6 +187,8 @@ export class Recording {
 
   /** What is shown at a frame; null while that is not unpacked: `ready` is called when it is, `failed` when it cannot be. */
   at(frame: number, ready: () => void, failed: (error: unknown) => void): Shown | null {
+    const recent = this.recent.get(frame);
+    if (recent !== undefined) return recent;
     const number = this.blocks.findLastIndex(({ first }) => first <= frame);
     const isReady = this.cursor?.block === number && this.cursor.frame <= frame;
     if (!isReady && !(this.raw.has(number) && this.wholes.has(number))) {
@@ -191,7 +197,11 @@ export class Recording {
     }
     // What comes next is unpacked before it is needed.
     if (number + 1 < this.blocks.length && !this.raw.has(number + 1)) this.fetch(number + 1, () => undefined, failed);
-    return this.decode(number, frame);
+    const shown = this.decode(number, frame);
+    this.recent.set(frame, shown);
+    const [oldest] = this.recent.keys();
+    if (this.recent.size > MOST_RECENT) this.recent.delete(oldest);
+    return shown;
   }
 
   private fetch(number: number, ready: () => void, failed: (error: unknown) => void): void {
@@ -203,14 +213,16 @@ export class Recording {
 
   private decode(number: number, frame: number): Shown {
     let cursor = this.cursor;
+    // One that something broken stopped is not gone on with.
+    this.cursor = null;
     if (cursor === null || cursor.block !== number || cursor.frame > frame) {
       const from = new Taker(this.raw.get(number)!);
       const whole = this.wholes.get(number)!;
       if (from.number() === number) takeSurface(NO_SURFACE, from);
       cursor = { block: number, from, frame: this.blocks[number].first - 1, surface: whole, places: whole.rest.slice(), head: new Uint8Array(), tail: new Uint8Array() };
-      this.cursor = cursor;
     }
     while (cursor.frame < frame) this.advance(cursor);
+    this.cursor = cursor;
     return { snapshot: this.snapshotOf(cursor), topology: this.topologyFor(cursor.surface) };
   }
 

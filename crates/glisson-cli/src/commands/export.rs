@@ -50,10 +50,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     );
     let session = args.source.read()?;
     let settings = RecordingSettings { rate_hz: f64::from(args.rate), step_m: 1e-3 * args.precision_mm };
-    let (recording, task) = with_bar("replaying", || record(&session, args.source.folder(), settings))?;
+    let Exported { recording, task, replay } =
+        with_bar("replaying", || record(&session, args.source.folder(), settings))?;
     let page = page_with(&recording.bytes).context("the program's page is gone")?;
     make_folder_of(&args.html)?;
     write_text(&args.html, &page)?;
+    println!("replay           {replay}");
     let size_mb = page.len() as f64 / 1e6;
     let minutes = recording.duration_s / 60.0;
     println!(
@@ -82,12 +84,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
+struct Exported {
+    recording: Recording,
+    task: Option<TaskRecord>,
+    /// How far it is known that the replay made the bits of the recording.
+    replay: &'static str,
+}
+
 /// Replays the session, and writes down what is displayed.
-fn record(
-    session: &Session,
-    folder: &Path,
-    settings: RecordingSettings,
-) -> anyhow::Result<(Recording, Option<TaskRecord>)> {
+fn record(session: &Session, folder: &Path, settings: RecordingSettings) -> anyhow::Result<Exported> {
     let n_steps = session.events.last().map_or(0, |event| event.step());
     ensure!(n_steps > 0, "the session has no step: there is nothing to show");
     let mut sampler = Sampler { writer: RecordingWriter::new(settings), settings, next: 0, greeted: None };
@@ -96,9 +101,9 @@ fn record(
         tell(step as f64 / n_steps as f64);
         sampler.see(simulation, step == n_steps)
     })?;
-    same_bits(&report).map_err(|error| anyhow!("nothing is exported: {error}"))?;
+    let replay = same_bits(&report).map_err(|error| anyhow!("nothing is exported: {error}"))?;
     let result = report.task.as_ref().map(TaskRecord::result);
-    Ok((sampler.writer.finish(result.as_ref()), report.task))
+    Ok(Exported { recording: sampler.writer.finish(result.as_ref()), task: report.task, replay })
 }
 
 /// Takes a frame of the first step, and of the first one in each period after it.

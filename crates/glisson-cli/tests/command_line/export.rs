@@ -36,6 +36,7 @@ fn a_session_is_exported_twice_to_the_same_bytes() {
     let (first, said) = export("new/a.html", &["--check"]);
     // A tenth of a second: the first step, two periods, and the last step.
     for expected in [
+        "same bits as the recording",
         "frames           4 (30 a second",
         "4 vertices at most",
         "4 frames read back",

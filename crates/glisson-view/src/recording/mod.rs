@@ -19,8 +19,10 @@ pub const MAGIC: &[u8; 4] = b"GLSR";
 pub const VERSION: u32 = 1;
 /// Frames that are packed together at most: what has to be unpacked to jump to one. A choice: two seconds of 30 frames a second.
 pub const FRAMES_OF_BLOCK: usize = 60;
-/// What a block may have unpacked [bytes]: a choice, a hundred times what 100,000 vertices need.
+/// What a block may have unpacked [bytes]: a choice, ten times what 60 frames of 100,000 vertices need.
 pub const MOST_UNPACKED: usize = 1 << 28;
+/// A block that has so much ends early [bytes]: what is far from what a reader allows, also with one frame more.
+const ENOUGH_IN_BLOCK: usize = MOST_UNPACKED / 8;
 
 #[cfg(test)]
 mod tests;

@@ -190,6 +190,9 @@ fn a_node_without_a_place_is_told_with_its_step() {
         let error = RecordingWriter::new(SETTINGS).add(&broken, || sheet(3, 0)).unwrap_err();
         assert!(error.to_string().starts_with("step 10: "), "{error}");
     }
+    let mut broken = snapshot(3, 0);
+    broken.tools[1].force_n.x = f64::NAN;
+    assert!(RecordingWriter::new(SETTINGS).add(&broken, || sheet(3, 0)).is_err());
 }
 
 #[test]

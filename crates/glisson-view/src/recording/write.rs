@@ -2,7 +2,7 @@
 
 use super::numbers::{put, put_signed};
 use super::surface::{Place, Surface, place_of};
-use super::{FRAMES_OF_BLOCK, MAGIC, VERSION};
+use super::{ENOUGH_IN_BLOCK, FRAMES_OF_BLOCK, MAGIC, VERSION};
 use crate::server::frames::{self, Pace};
 use crate::server::messages;
 use flate2::Compression;
@@ -24,7 +24,9 @@ pub struct RecordingSettings {
 
 /// Why a frame cannot be recorded.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("step {step}: a node's place is no number, or too far away to be recorded in steps of {step_m} m")]
+#[error(
+    "step {step}: a place or a force is no number, or too far away to be recorded in steps of {step_m} m"
+)]
 pub struct NotRecordable {
     /// The step of the simulation.
     pub step: u64,
@@ -128,7 +130,7 @@ impl RecordingWriter {
     /// Adds a frame; `topology` is asked for when it is not that of the frame before.
     ///
     /// # Errors
-    /// When a node is nowhere.
+    /// When a node or an instrument is nowhere.
     pub fn add(
         &mut self,
         snapshot: &Snapshot,
@@ -136,6 +138,9 @@ impl RecordingWriter {
     ) -> Result<(), NotRecordable> {
         let step_m = self.settings.step_m;
         let error = NotRecordable { step: snapshot.step, step_m };
+        if !snapshot.tools.iter().all(|tool| tool.pose.is_finite() && tool.force_n.is_finite()) {
+            return Err(error);
+        }
         let mut places = Vec::with_capacity(snapshot.positions_m.len());
         for &p in &snapshot.positions_m {
             let place = place_of(p, step_m).ok_or(error)?;
@@ -148,7 +153,7 @@ impl RecordingWriter {
         let kept = last.as_ref().is_some_and(|last| last.surface.version == snapshot.topology_version);
         let changed = if kept { None } else { Some(Surface::of(&topology(), step_m).ok_or(error)?) };
         self.n_changes += usize::from(last.is_some() && changed.is_some());
-        if self.n_in_block == FRAMES_OF_BLOCK {
+        if self.n_in_block == FRAMES_OF_BLOCK || self.raw.len() > ENOUGH_IN_BLOCK {
             self.end_block();
         }
         let (surface, expected, head, tail) = match last {

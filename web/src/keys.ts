@@ -46,32 +46,33 @@ export interface Chord {
   readonly shift: boolean;
 }
 
-export interface Binding {
-  readonly action: Action;
+export interface Binding<A extends string = Action> {
+  readonly action: A;
   readonly chords: readonly Chord[];
   /** What the help page calls the keys. */
   readonly keys: string;
   readonly does: string;
-  readonly group: "Simulation" | "View" | "Instrument" | "Program";
+  /** Its heading on the help page. */
+  readonly group: string;
   /** Held down, the key repeats. */
   readonly repeats: boolean;
 }
 
-const plain = (...keys: string[]): Chord[] => keys.map((key) => ({ key, shift: false }));
+export const plain = (...keys: string[]): Chord[] => keys.map((key) => ({ key, shift: false }));
 /** With and without Shift (five times the way with it). */
 const both = (key: string): Chord[] => [
   { key, shift: false },
   { key, shift: true },
 ];
 
-function bind(
-  group: Binding["group"],
-  action: Action,
+export function bind<A extends string>(
+  group: string,
+  action: A,
   keys: string,
   does: string,
   chords: readonly Chord[],
   repeats = false,
-): Binding {
+): Binding<A> {
   return { group, action, keys, does, chords, repeats };
 }
 
@@ -125,19 +126,24 @@ export interface KeyPress {
   readonly repeat: boolean;
 }
 
-/** The action of a key press, or null: keys with Ctrl, Alt or Meta belong to the browser. */
+/** The viewer's action of a key press, or null. */
 export function actionOf(press: KeyPress): Action | null {
+  return actionIn(press, BINDINGS);
+}
+
+/** The action that `bindings` have for a key press, or null: keys with Ctrl, Alt or Meta belong to the browser. */
+export function actionIn<A extends string>(press: KeyPress, bindings: ReadonlyArray<Binding<A>>): A | null {
   if (press.ctrlKey || press.altKey || press.metaKey) return null;
   const key = press.key.toLowerCase();
   // Shift is part of typing "?", not of the chord.
   const shift = press.shiftKey && key !== "?";
-  const binding = BINDINGS.find((b) => b.chords.some((c) => c.key === key && c.shift === shift));
+  const binding = bindings.find((b) => b.chords.some((c) => c.key === key && c.shift === shift));
   if (binding === undefined || (press.repeat && !binding.repeats)) return null;
   return binding.action;
 }
 
 /** Number of the instrument that a key takes, from 0; null for other actions. */
-export function toolNumber(action: Action): number | null {
+export function toolNumber(action: string): number | null {
   const at = (["tool_1", "tool_2", "tool_3", "tool_4"] as const).findIndex((name) => name === action);
   return at < 0 ? null : at;
 }

@@ -1,6 +1,7 @@
 /** What lies over the picture: help page, messages, connection banner, buttons; and saving a file. */
+import { ButtonBar, button, type ButtonGroups } from "./button_bar";
 import type { ConnectionState } from "./connection";
-import { BINDINGS, type Action } from "./keys";
+import { BINDINGS, type Action, type Binding } from "./keys";
 import type { Page } from "./page";
 
 function element(name: string, className: string, text = ""): HTMLElement {
@@ -19,10 +20,19 @@ const MOUSE: ReadonlyArray<readonly [string, string]> = [
   ["Through the endoscope", "what turns the view pivots the endoscope about its trocar, what moves it rolls it; the wheel pushes it in. With the endoscope in the hand, left drag does so anywhere"],
 ];
 
+/** Lines of the help page under their heading. */
+export type HelpGroup = readonly [title: string, lines: ReadonlyArray<readonly [string, string]>];
+
+/** The help page's groups of a table of keys, in its order. */
+export function helpOf(bindings: ReadonlyArray<Binding<string>>): HelpGroup[] {
+  const titles = [...new Set(bindings.map(({ group }) => group))];
+  return titles.map((title) => [title, bindings.filter((b) => b.group === title).map((b) => [b.keys, b.does])]);
+}
+
 export class Help {
   private readonly root: HTMLElement;
 
-  constructor(parent: HTMLElement) {
+  constructor(parent: HTMLElement, groups: readonly HelpGroup[] = [["Mouse", MOUSE], ...helpOf(BINDINGS)]) {
     this.root = element("div", "overlay help");
     this.root.setAttribute("role", "dialog");
     this.root.setAttribute("aria-label", "Help");
@@ -30,10 +40,7 @@ export class Help {
     const page = element("div", "help-page");
     page.append(element("h1", "", "Mouse and keys"));
     const columns = element("div", "help-columns");
-    columns.append(this.group("Mouse", MOUSE));
-    for (const group of ["Simulation", "View", "Instrument", "Program"] as const) {
-      columns.append(this.group(group, BINDINGS.filter((b) => b.group === group).map((b) => [b.keys, b.does])));
-    }
+    for (const [title, lines] of groups) columns.append(this.group(title, lines));
     page.append(columns, element("p", "help-foot", "Esc closes this page. Research software: not for use on patients."));
     this.root.append(page);
     this.root.addEventListener("click", (event) => {
@@ -118,14 +125,7 @@ export function showConnection(page: Pick<Page, "link" | "banner">, state: Conne
   page.banner.textContent = `Connection to the simulator lost. Trying again (${attempt})…`;
 }
 
-interface ButtonSpec {
-  readonly action: Action;
-  readonly label: string;
-  readonly key: string;
-}
-
-const button = (action: Action, label: string, key: string): ButtonSpec => ({ action, label, key });
-const BUTTONS: ReadonlyArray<readonly ButtonSpec[]> = [
+const BUTTONS: ButtonGroups<Action> = [
   [button("pause", "Pause", "␣"), button("single_step", "Step", "→"), button("reset_simulation", "Reset", "⇧R"), button("next_model", "Model", "M")],
   [
     button("reset_view", "View", "R"),
@@ -156,27 +156,9 @@ export interface ShownTheatre {
   readonly showsOutside: boolean;
 }
 
-export class Toolbar {
-  private readonly buttons = new Map<Action, HTMLElement>();
-
+export class Toolbar extends ButtonBar<Action> {
   constructor(root: HTMLElement, run: (action: Action) => void) {
-    for (const group of BUTTONS) {
-      const box = element("div", "button-group");
-      for (const { action, label, key } of group) {
-        const node = element("button", "");
-        node.append(element("span", "button-label", label), element("kbd", "", key));
-        node.dataset.action = action;
-        node.title = BINDINGS.find((b) => b.action === action)?.does ?? label;
-        node.addEventListener("click", (event) => {
-          run(action);
-          // After a mouse click the space bar should pause again, not press this button.
-          if (event.detail > 0) node.blur();
-        });
-        this.buttons.set(action, node);
-        box.append(node);
-      }
-      root.append(box);
-    }
+    super(root, BUTTONS, BINDINGS, run);
   }
 
   /** Shows all switches as on or off. */
@@ -192,21 +174,6 @@ export class Toolbar {
     this.set("outside", theatre.showsOutside);
     this.offer("theatre", theatre.endoscope !== null);
     for (const action of ["wipe", "outside"] as const) this.offer(action, theatre.on);
-  }
-
-  private offer(action: Action, offered: boolean): void {
-    const node = this.buttons.get(action);
-    if (node !== undefined && node.hidden === offered) node.hidden = !offered;
-    const group = node?.parentElement;
-    if (group != null) group.hidden = Array.from(group.children).every((child) => (child as HTMLElement).hidden);
-  }
-
-  private set(action: Action, on: boolean, label?: string): void {
-    const node = this.buttons.get(action);
-    if (node === undefined) return;
-    if (node.getAttribute("aria-pressed") !== String(on)) node.setAttribute("aria-pressed", String(on));
-    const text = node.querySelector(".button-label");
-    if (label !== undefined && text !== null && text.textContent !== label) text.textContent = label;
   }
 }
 

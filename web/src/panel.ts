@@ -162,6 +162,9 @@ const MODEL_ROWS: readonly Row[] = [
 /** Not every scene and server has them. */
 const OPTIONAL: ReadonlySet<PanelKey> = new Set(["hand_force", "bleeding", "blood_lost", "haptic_jitter", "haptic_tick"]);
 
+/** What a recording does not have. */
+const LIVE: ReadonlySet<PanelKey> = new Set(["rate", "real_time_factor", "control"]);
+
 function element<K extends keyof HTMLElementTagNameMap>(name: K, className: string, text = ""): HTMLElementTagNameMap[K] {
   const node = document.createElement(name);
   node.className = className;
@@ -179,7 +182,8 @@ export class Panel {
   private readonly optional = new Map<PanelKey, HTMLElement>();
   private shown: PanelValues | null = null;
 
-  constructor(private readonly root: HTMLElement) {
+  /** Without `isLive`, what only a running simulation has is left out. */
+  constructor(private readonly root: HTMLElement, isLive = true) {
     const force = element("section", "force");
     force.append(element("h2", "", "Force on the instrument"));
     force.append(this.cell("force", "force-number"));
@@ -199,7 +203,7 @@ export class Panel {
     hand.append(element("span", "label", "Hand"), this.cell("hand_force", "value"));
     this.optional.set("hand_force", hand);
     force.append(parts, peak, hand, arrow, this.plot, legend);
-    const haptics = this.section("Haptics", HAPTICS_ROWS);
+    const haptics = isLive ? this.section("Haptics", HAPTICS_ROWS) : element("section", "");
     this.jitter = element("canvas", "jitter");
     this.jitter.setAttribute("aria-label", "How many intervals of the haptic loop are off by how much");
     this.jitter.title = "How many intervals are off by how much, both logarithmic; beyond the red line deadlines are missed";
@@ -208,8 +212,8 @@ export class Panel {
       this.cell("scene", "scene-name"),
       force,
       this.section("Instrument", INSTRUMENT_ROWS),
-      this.section("Simulation", SIMULATION_ROWS),
-      haptics,
+      this.section("Simulation", SIMULATION_ROWS.filter(({ key }) => isLive || !LIVE.has(key))),
+      ...(isLive ? [haptics] : []),
       this.section("Model", MODEL_ROWS),
     );
   }

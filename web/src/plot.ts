@@ -93,6 +93,25 @@ export function arrowScale_m_per_n(largest_n: number): number {
   return factor * power;
 }
 
+/** A line through `points` [CSS pixels] and the fill between it and the plot's floor. */
+export function drawCurve(context: CanvasRenderingContext2D, points: ReadonlyArray<readonly [number, number]>, area: PlotArea): void {
+  if (points.length === 0) return;
+  context.beginPath();
+  points.forEach(([x, y], i) => (i === 0 ? context.moveTo(x, y) : context.lineTo(x, y)));
+  context.strokeStyle = "#ffb45e";
+  context.lineWidth = 1.5;
+  context.lineJoin = "round";
+  context.stroke();
+  context.lineTo(points[points.length - 1][0], area.top + area.height);
+  context.lineTo(points[0][0], area.top + area.height);
+  context.closePath();
+  const fill = context.createLinearGradient(0, area.top, 0, area.top + area.height);
+  fill.addColorStop(0, "rgba(255,180,94,0.32)");
+  fill.addColorStop(1, "rgba(255,180,94,0.02)");
+  context.fillStyle = fill;
+  context.fill();
+}
+
 /** An empty canvas in CSS pixels, as fine as the screen; null where there is nothing to draw on. */
 export function fitted(
   canvas: HTMLCanvasElement,
@@ -139,23 +158,7 @@ export function drawPlot(canvas: HTMLCanvasElement, history: ForceHistory): void
   context.fillText(`${(scale.start_s + PLOT_SPAN_S).toFixed(1)} s`, area.left + area.width, area.top + area.height + 5);
   if (samples.length === 0) return;
   const newest = samples[samples.length - 1];
-  context.beginPath();
-  samples.forEach((s, i) => {
-    if (i === 0) context.moveTo(scale.x(s.time_s), scale.y(s.force_n));
-    else context.lineTo(scale.x(s.time_s), scale.y(s.force_n));
-  });
-  context.strokeStyle = "#ffb45e";
-  context.lineWidth = 1.5;
-  context.lineJoin = "round";
-  context.stroke();
-  context.lineTo(scale.x(newest.time_s), area.top + area.height);
-  context.lineTo(scale.x(samples[0].time_s), area.top + area.height);
-  context.closePath();
-  const fill = context.createLinearGradient(0, area.top, 0, area.top + area.height);
-  fill.addColorStop(0, "rgba(255,180,94,0.32)");
-  fill.addColorStop(1, "rgba(255,180,94,0.02)");
-  context.fillStyle = fill;
-  context.fill();
+  drawCurve(context, samples.map((s) => [scale.x(s.time_s), scale.y(s.force_n)] as const), area);
   context.beginPath();
   context.arc(scale.x(newest.time_s), scale.y(newest.force_n), 2.5, 0, 2 * Math.PI);
   context.fillStyle = "#ffd9a8";

@@ -80,7 +80,8 @@ export class Scene3d {
   private fixedShown = false;
   /** Bodies that are not shown, by their numbers. */
   private hidden: ReadonlySet<number> = new Set();
-  private covered_px = 0;
+  /** What the page covers of the canvas [CSS pixels]. */
+  covered = { left: 0, right: 0, bottom: 0 };
   private restTimer: ReturnType<typeof setTimeout> | undefined;
 
   /** @throws Error if the browser gives no WebGL 2. */
@@ -118,14 +119,15 @@ export class Scene3d {
     this.placeCamera();
   }
 
-  /** The panel covers `covered_px` at the left: the organ is centred in what is free. */
-  setCovered(covered_px: number): void {
-    this.covered_px = Math.min(covered_px, 0.6 * this.width);
+  /** The page covers so many pixels at the left, at the right and at the bottom: the organ is centred in what is free. */
+  setCovered(left: number, right = 0, bottom = 0): void {
+    const { width, height } = this;
+    this.covered = { left: Math.min(left, 0.6 * width), right: Math.min(right, 0.3 * width), bottom: Math.min(bottom, 0.6 * height) };
   }
 
   /** Middle of the free part of the canvas [CSS pixels]. */
   middle(): [number, number] {
-    return this.other?.middle() ?? [(this.width + this.covered_px) / 2, this.height / 2];
+    return this.other?.middle() ?? [(this.width + this.covered.left - this.covered.right) / 2, (this.height - this.covered.bottom) / 2];
   }
 
   setOrbit(orbit: Orbit): void {
@@ -136,8 +138,10 @@ export class Scene3d {
   resetView(): void {
     const bounds = this.hello?.bounds;
     if (bounds === undefined) return;
-    const aspect = (this.width - this.covered_px) / this.height;
-    this.setOrbit(orbitThatShows(new Vector3(...bounds.min_m), new Vector3(...bounds.max_m), aspect));
+    const { left, right, bottom } = this.covered;
+    const free_px = this.height - bottom;
+    const orbit = orbitThatShows(new Vector3(...bounds.min_m), new Vector3(...bounds.max_m), (this.width - left - right) / free_px);
+    this.setOrbit({ ...orbit, distance_m: (orbit.distance_m * this.height) / free_px });
   }
 
   private placeCamera(): void {
@@ -145,8 +149,9 @@ export class Scene3d {
     this.camera.lookAt(this.orbit.target_m);
     this.camera.near = Math.max(0.004, 0.02 * this.orbit.distance_m);
     this.camera.far = this.orbit.distance_m + 3;
+    const { left, right, bottom } = this.covered;
     // Calls updateProjectionMatrix.
-    this.camera.setViewOffset(this.width, this.height, -this.covered_px / 2, 0, this.width, this.height);
+    this.camera.setViewOffset(this.width, this.height, (right - left) / 2, bottom / 2, this.width, this.height);
     this.camera.updateMatrixWorld();
   }
 

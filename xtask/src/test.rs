@@ -195,7 +195,20 @@ fn browser(scene: &Path) -> anyhow::Result<()> {
         anyhow::ensure!(status.success(), "the browser test failed ({status}): {tests} {}", more.join(" "));
     }
     theatre(scene, &chromium)?;
-    tasks(&chromium)
+    tasks(&chromium)?;
+    replay(scene, &chromium)
+}
+
+/// A recorded task as one file, opened from disk.
+fn replay(demo_scene: &Path, chromium: &Path) -> anyhow::Result<()> {
+    let out = demo_scene.with_file_name("tasks");
+    let (session, page) = (out.join("palpation.jsonl"), out.join("palpation.replay.html"));
+    let [out, session, page_name] = [&out, &session, &page].map(|path| path.to_string_lossy());
+    let program = program();
+    let program = program.to_string_lossy();
+    run(&program, &["task", "run", "palpation", "--headless", "--out", &out])?;
+    run(&program, &["export", &session, "--html", &page_name, "--check"])?;
+    browser_test("test:replay", chromium, "GLISSON_REPLAY", root().join(&page).as_os_str())
 }
 
 /// The view through an endoscope, of the same liver in a scene of its own.
@@ -210,7 +223,7 @@ fn theatre(demo_scene: &Path, chromium: &Path) -> anyhow::Result<()> {
 
 /// The tasks that come with the program, each done by its demonstration in front of a page.
 fn tasks(chromium: &Path) -> anyhow::Result<()> {
-    browser_test("test:tasks", chromium, "GLISSON_PROGRAM", program().as_os_str())
+    browser_test("test:tasks", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
 }
 
 /// Runs a browser test that needs to know one thing.

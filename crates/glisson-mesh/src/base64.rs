@@ -74,8 +74,14 @@ impl<'a> Base64Reader<'a> {
     }
 }
 
+/// The bytes of one encoded string; none if it is no base64.
+pub fn decode(text: &str) -> Option<Vec<u8>> {
+    let n_digits = text.bytes().filter(|c| !c.is_ascii_whitespace() && *c != b'=').count();
+    Base64Reader::new(text.as_bytes()).read(n_digits * 3 / 4)
+}
+
 /// `bytes` as base64 with padding.
-pub(crate) fn encode(bytes: &[u8]) -> String {
+pub fn encode(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
     for group in bytes.chunks(3) {
@@ -99,6 +105,7 @@ mod tests {
             [("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("foobar", "Zm9vYmFy")];
         for (plain, coded) in cases {
             assert_eq!(encode(plain.as_bytes()), coded);
+            assert_eq!(decode(coded).unwrap(), plain.as_bytes());
             let mut reader = Base64Reader::new(coded.as_bytes());
             assert_eq!(reader.read(plain.len()).unwrap(), plain.as_bytes());
             assert_eq!(reader.read(1), None);

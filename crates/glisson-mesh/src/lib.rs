@@ -16,7 +16,7 @@ pub mod units;
 pub mod files;
 mod scan;
 mod binary;
-mod base64;
+pub mod base64;
 mod vtk_xml;
 mod disjoint_sets;
 pub mod image;

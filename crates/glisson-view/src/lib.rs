@@ -5,6 +5,7 @@
 //! Published (glisson_runtime) -> server: frames, messages -> WebSocket -> page (web/dist, embedded)
 //! page -> commands -> control (one controls, all may watch) -> Simulation
 //! TaskRecord (glisson::training) -> report -> HTML
+//! session -> recording -> HTML that plays without a server
 //! image -> patient (its own page) -> scene -> Simulation
 //! ```
 //!
@@ -14,4 +15,5 @@ pub mod plot;
 pub mod picture;
 pub mod report;
 pub mod server;
+pub mod recording;
 pub mod patient;

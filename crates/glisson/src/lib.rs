@@ -10,7 +10,7 @@
 //! What lies below is in two crates of their own, shown here under the same names: `glisson_mesh` (from an image to
 //! tetrahedra and their edits) and `glisson_tissue` (how tissue deforms). One who simulates needs this crate alone.
 
-pub use glisson_mesh::{files, image, math, mesh, progress, surface, text, units};
+pub use glisson_mesh::{base64, files, image, math, mesh, progress, surface, text, units};
 pub use glisson_tissue::{material, model, solve, workers};
 
 pub mod contact;

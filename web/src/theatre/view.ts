@@ -133,10 +133,11 @@ export class Theatre implements OtherView {
     const { panel, toolbar, outside } = this.page;
     const [panelBox, toolbarBox] = [panel.getBoundingClientRect(), toolbar.getBoundingClientRect()];
     const bottom = toolbarBox.height > 0 ? Math.min(toolbarBox.top, this.scene.height) : this.scene.height;
+    const right = this.scene.width - this.scene.covered.right;
     const beside = (left: number): Circle => ({
-      x: (left + this.scene.width) / 2,
+      x: (left + right) / 2,
       y: bottom / 2,
-      radius: Math.max(1, Math.min(this.scene.width - left, bottom) / 2 - RIM),
+      radius: Math.max(1, Math.min(right - left, bottom) / 2 - RIM),
     });
     const free = beside(Math.min(panelBox.right, 0.6 * this.scene.width));
     this.circle = free.radius < SMALLEST_RADIUS ? beside(0) : free;

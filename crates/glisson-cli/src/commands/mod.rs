@@ -25,6 +25,7 @@ mod watch;
 mod device_page;
 mod devices;
 mod replay;
+mod export;
 mod bench;
 mod validate;
 mod demo;
@@ -57,6 +58,7 @@ enum Command {
     Watch(watch::Args),
     Devices(devices::Args),
     Replay(replay::Args),
+    Export(export::Args),
     Bench(bench::Args),
     Validate(validate::Args),
     Demo(demo::Args),
@@ -83,6 +85,7 @@ pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
         Command::Watch(args) => watch::run(args),
         Command::Devices(args) => devices::run(args),
         Command::Replay(args) => replay::run(args),
+        Command::Export(args) => export::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Validate(args) => validate::run(args),
         Command::Demo(args) => demo::run(args),

@@ -2,7 +2,8 @@
 
 use super::task_text::task_text;
 use anyhow::bail;
-use glisson_runtime::replay;
+use glisson::record::session::Session;
+use glisson_runtime::replay::{self, ReplayReport};
 use std::path::{Path, PathBuf};
 
 /// Replay a recorded session and compare the state hash.
@@ -12,6 +13,13 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "Examples:\n  glisson replay out/demo/session.jsonl\n  \
     glisson replay session.jsonl --folder folder/of/the/scene")]
 pub(crate) struct Args {
+    #[command(flatten)]
+    source: Source,
+}
+
+/// A recorded session and where its scene is.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Source {
     /// Session file (JSON lines)
     session: PathBuf,
     /// Folder that the scene's files are relative to; the session's own folder if not given
@@ -19,12 +27,32 @@ pub(crate) struct Args {
     folder: Option<PathBuf>,
 }
 
+impl Source {
+    pub(super) fn read(&self) -> anyhow::Result<Session> {
+        replay::read_session(&self.session)
+    }
+
+    pub(super) fn folder(&self) -> &Path {
+        let own_folder = self.session.parent().filter(|folder| *folder != Path::new(""));
+        self.folder.as_deref().or(own_folder).unwrap_or(Path::new("."))
+    }
+}
+
+/// What is to be said of a replay that made the bits of the recording.
+pub(super) fn same_bits(report: &ReplayReport) -> anyhow::Result<&'static str> {
+    if let Some(step) = report.first_difference {
+        bail!("the replay differs from the recording: first at the check-point of step {step}");
+    }
+    match report.recorded_hash {
+        Some(recorded) if recorded == report.state_hash => Ok("same bits as the recording"),
+        Some(recorded) => bail!("the replay differs from the recording, whose last state hash is {recorded}"),
+        None => Ok("the recording was cut off: nothing to compare the last state with"),
+    }
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let session = replay::read_session(&args.session)?;
-    let own_folder = args.session.parent().filter(|folder| *folder != Path::new(""));
-    let own_folder = own_folder.unwrap_or(Path::new("."));
-    let folder = args.folder.as_deref().unwrap_or(own_folder);
-    let report = replay::replay(&session, folder, |_| Ok(()))?;
+    let session = args.source.read()?;
+    let report = replay::replay(&session, args.source.folder(), |_| Ok(()))?;
     println!("steps            {}", report.steps);
     print!("{}", report.account.to_text());
     if let Some(task) = &report.task {
@@ -32,13 +60,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     println!("state hash       {}", report.state_hash);
     println!("check-points     {} compared", report.checkpoints);
-    if let Some(step) = report.first_difference {
-        bail!("the replay differs from the recording: first at the check-point of step {step}");
-    }
-    match report.recorded_hash {
-        Some(recorded) if recorded == report.state_hash => println!("same bits as the recording"),
-        Some(recorded) => bail!("the replay differs from the recording, whose last state hash is {recorded}"),
-        None => println!("the recording was cut off: nothing to compare the last state with"),
-    }
+    println!("{}", same_bits(&report)?);
     Ok(())
 }

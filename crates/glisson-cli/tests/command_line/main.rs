@@ -3,6 +3,7 @@
 
 mod broken;
 mod devices;
+mod export;
 mod images;
 mod link;
 mod precompute;
@@ -86,6 +87,7 @@ fn help_and_wrong_command_lines() {
         "task",
         "devices",
         "replay",
+        "export",
         "bench",
         "validate",
         "demo",

@@ -12,6 +12,13 @@ const FLAG_PAUSED: u32 = 2;
 const FLAG_GRASPS: u32 = 4;
 const FLAG_CONTACT_POINTS: u32 = 8;
 const FLAG_THREADS: u32 = 16;
+/// Where a SNAPSHOT frame says how many vertices it has.
+pub(crate) const N_VERTICES_AT: usize = 56;
+
+/// Where the positions of a SNAPSHOT frame begin.
+pub(crate) fn first_position(n_tools: usize) -> usize {
+    64 + 152 * n_tools
+}
 
 struct FrameWriter(Vec<u8>);
 

@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 const PROTOCOL: u32 = 10;
 
 /// The first message on a connection.
-pub(super) fn hello(simulation: &Simulation) -> Value {
+pub(crate) fn hello(simulation: &Simulation) -> Value {
     let world = simulation.world();
     let (spec, organ) = (world.spec(), world.organ());
     let bounds = Aabb::of_points(&organ.mesh().positions_m);

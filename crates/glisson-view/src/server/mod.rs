@@ -5,7 +5,7 @@ mod allowance;
 mod hands;
 pub(crate) mod limits;
 pub mod frames;
-mod messages;
+pub(crate) mod messages;
 mod socket;
 
 use crate::report::task_report;
@@ -39,7 +39,7 @@ use tokio::sync::watch;
 #[derive(rust_embed::RustEmbed)]
 #[folder = "../../web/dist"]
 #[allow_missing = true]
-struct ViewerFiles;
+pub(crate) struct ViewerFiles;
 
 const NOT_BUILT: &str = "<!doctype html><meta charset=utf-8><title>Glisson</title><p>The viewer was not built \
 into this program. Run <code>cargo xtask demo</code>, which builds it.";

@@ -1,0 +1,30 @@
+/** Starts the player on the recording in its page, or says on the page why it cannot. */
+import "../style.css";
+import "../lists.css";
+import "./replay.css";
+import { findReplayPage, recordingInPage } from "./page";
+import { Player, type PlayerReport } from "./player";
+import { Recording } from "./recording";
+
+declare global {
+  interface Window {
+    /** What the page shows, for tests and for the curious; read only. */
+    readonly glissonReplay?: PlayerReport;
+  }
+}
+
+async function start(): Promise<void> {
+  const page = findReplayPage();
+  const bytes = recordingInPage();
+  if (bytes === null) throw new Error("no recording is in this page; `glisson export SESSION --html FILE` makes a page with one");
+  const player = new Player(page, await Recording.read(bytes));
+  Object.defineProperty(window, "glissonReplay", { get: () => player.report() });
+}
+
+start().catch((error: unknown) => {
+  console.error(error);
+  const banner = document.getElementById("banner");
+  if (banner === null) return;
+  banner.hidden = false;
+  banner.textContent = `The player cannot start: ${error instanceof Error ? error.message : String(error)}`;
+});

@@ -1,0 +1,66 @@
+/** The list of a task's stages and of the moments that went wrong: each is a button that jumps there. */
+import { clockText } from "../task";
+import { endingText, type Story } from "./story";
+
+interface Entry {
+  readonly from_s: number;
+  readonly to_s: number;
+  readonly button: HTMLButtonElement;
+}
+
+function element(name: string, className: string, text = ""): HTMLElement {
+  const node = document.createElement(name);
+  node.className = className;
+  node.textContent = text;
+  return node;
+}
+
+export class MomentList {
+  private readonly entries: Entry[] = [];
+
+  constructor(root: HTMLElement, story: Story | null, jump: (time_s: number, tool: number | null) => void) {
+    root.hidden = story === null;
+    if (story === null) return;
+    root.setAttribute("aria-label", `Task: ${story.title}`);
+    const ending = element("p", "story-ending", endingText(story));
+    ending.dataset.passed = String(story.isPassed);
+    root.append(element("h2", "", story.title), ending);
+    const entry = (from_s: number, to_s: number, title: string, detail: string, tool: number | null): HTMLElement => {
+      const button = document.createElement("button");
+      button.type = "button";
+      const words = element("span", "story-words", title);
+      if (detail !== "") words.append(element("span", "story-detail", detail));
+      button.append(element("span", "story-time", clockText(from_s)), words);
+      button.addEventListener("click", (event) => {
+        jump(from_s, tool);
+        // After a mouse click the space bar should play, not press this button.
+        if (event.detail > 0) button.blur();
+      });
+      this.entries.push({ from_s, to_s, button });
+      const item = document.createElement("li");
+      item.append(button);
+      return item;
+    };
+    const list = (title: string, className: string, items: readonly HTMLElement[], none: string): void => {
+      root.append(element("h3", "", title));
+      if (items.length === 0) return root.append(element("p", "dim", none));
+      const node = element("ol", className);
+      node.setAttribute("aria-label", title);
+      node.append(...items);
+      root.append(node);
+    };
+    const { stages, moments } = story;
+    list("Stages", "stages", stages.map(({ began_s, ended_s, title }) => entry(began_s, ended_s, title, `${(ended_s - began_s).toFixed(1)} s`, null)), "none was done");
+    list("Went wrong", "moments", moments.map(({ from_s, to_s, title, detail, tool }) => entry(from_s, to_s, title, detail, tool)), "nothing");
+  }
+
+  /** Marks what is going on. */
+  show(time_s: number): void {
+    for (const { from_s, to_s, button } of this.entries) {
+      const isNow = time_s >= from_s - 1e-3 && time_s < Math.max(to_s, from_s + 0.1) - 1e-3;
+      if (isNow === button.hasAttribute("aria-current")) continue;
+      if (isNow) button.setAttribute("aria-current", "step");
+      else button.removeAttribute("aria-current");
+    }
+  }
+}

@@ -1,0 +1,70 @@
+/** What a recording says of its task: stages, what went wrong, and how it ended. */
+import { fieldsOf, fail, numberAt, stringAt } from "../fields";
+import type { TaskOutcome } from "../task";
+
+export interface Stage {
+  readonly title: string;
+  readonly began_s: number;
+  readonly ended_s: number;
+}
+
+/** A moment that went wrong. */
+export interface Moment {
+  readonly title: string;
+  readonly detail: string;
+  readonly from_s: number;
+  readonly to_s: number;
+  /** Number of the instrument; null if it was none. */
+  readonly tool: number | null;
+}
+
+export interface Story {
+  readonly title: string;
+  readonly outcome: TaskOutcome | null;
+  readonly isPassed: boolean;
+  readonly nStages: number;
+  readonly stages: readonly Stage[];
+  readonly moments: readonly Moment[];
+}
+
+function listAt(value: unknown, name: string): unknown[] {
+  if (!Array.isArray(value)) fail(`task.${name} must be an array`);
+  return value;
+}
+
+/** Decodes the task of a recording; null for none. @throws ProtocolError */
+export function decodeStory(value: unknown): Story | null {
+  if (value == null) return null;
+  const task = fieldsOf(value, "task");
+  const result = fieldsOf(task.result, "task.result");
+  const titles = listAt(task.titles, "titles");
+  const { outcome } = result;
+  if (outcome != null && outcome !== "done" && outcome !== "time_over") fail("task.outcome may be done, time_over or null");
+  return {
+    title: stringAt(result, "title", "task"),
+    outcome: outcome ?? null,
+    isPassed: result.is_passed === true,
+    nStages: numberAt(result, "n_stages", "task", 0),
+    stages: listAt(result.stages, "stages").map((item) => {
+      const stage = fieldsOf(item, "task.stage");
+      return { title: stringAt(stage, "title", "stage"), began_s: numberAt(stage, "began_s", "stage"), ended_s: numberAt(stage, "ended_s", "stage") };
+    }),
+    moments: listAt(result.moments, "moments").map((item, i) => {
+      const moment = fieldsOf(item, "task.moment");
+      return {
+        title: String(titles[i] ?? ""),
+        detail: stringAt(moment, "detail", "moment"),
+        from_s: numberAt(moment, "from_s", "moment"),
+        to_s: numberAt(moment, "to_s", "moment"),
+        tool: moment.tool == null ? null : numberAt(moment, "tool", "moment", 0),
+      };
+    }),
+  };
+}
+
+/** How the task ended, in words. */
+export function endingText({ outcome, isPassed, stages, nStages }: Story): string {
+  const share = `${stages.length} of ${nStages} stages`;
+  if (outcome === "done") return `${share}: ${isPassed ? "passed" : "beyond the safety gate"}`;
+  return outcome === "time_over" ? `${share}, then the time was over` : `${share}; not finished`;
+}

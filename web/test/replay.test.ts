@@ -1,0 +1,186 @@
+import { readFileSync } from "node:fs";
+import { describe, expect, it } from "vitest";
+import { BINDINGS } from "../src/keys";
+import { PLAYER_BINDINGS, PLAYER_BUTTONS } from "../src/replay/keys";
+import { between } from "../src/replay/between";
+import { Taker } from "../src/replay/bytes";
+import { bytesOfBase64 } from "../src/replay/page";
+import { neighbour, Playback } from "../src/replay/playback";
+import { Recording, type Shown } from "../src/replay/recording";
+import { decodeStory, endingText } from "../src/replay/story";
+import { envelope, timeText } from "../src/replay/timeline";
+
+/** Written by `crates/glisson-view/src/recording/tests.rs`: a sheet of 9 by 9 nodes that sinks where an instrument goes over it. */
+const FIXTURE = bytesOfBase64(readFileSync(new URL("recording.glsr.txt", import.meta.url), "utf8").trim());
+const SIDE = 9;
+const STEP_M = 5e-5;
+
+async function frameOf(recording: Recording, frame: number): Promise<Shown> {
+  const failed = (error: unknown): never => { throw error; };
+  await recording.load(frame);
+  const shown = recording.at(frame, () => undefined, failed);
+  expect(shown).not.toBeNull();
+  return shown!;
+}
+
+/** Where the test of the program puts a node at a frame [m]. */
+function placeOf(node: number, time_s: number): number[] {
+  const rest = [5e-3 * (node % SIDE), node === SIDE * SIDE ? 5e-3 : 0, 5e-3 * Math.floor(node / SIDE)].map((x) => x - 0.0123);
+  const tip = [0.01 * time_s, -0.01, 0.004];
+  const square = rest.reduce((sum, x, k) => sum + (x - tip[k]) ** 2, 0);
+  return [rest[0], rest[1] + 0.008 * Math.exp(-square / 4e-4), rest[2]];
+}
+
+describe("a recording", () => {
+  it("says at once how long it is and which forces there were", async () => {
+    const recording = await Recording.read(FIXTURE);
+    expect([recording.nFrames, recording.rate_hz, recording.step_m]).toEqual([80, 30, STEP_M]);
+    expect(recording.end_s).toBeCloseTo(80 / 30, 4);
+    expect(recording.forces_n[29]).toEqual([1, 1]);
+    expect(recording.helloAt(0).tools.map(({ name }) => name)).toEqual(["first", "second"]);
+    expect(recording.helloAt(79)).toBe(recording.helloAt(0));
+    expect(recording.story).toBeNull();
+    expect([-1, 0, 0.5, 1.0001, 99].map((t) => recording.frameAt(t))).toEqual([0, 0, 14, 29, 79]);
+  });
+
+  it.each([0, 1, 39, 40, 41, 59, 60, 69, 70, 79])("shows frame %i within half a step", async (frame) => {
+    const recording = await Recording.read(FIXTURE);
+    const { snapshot: { header, positions_m }, topology } = await frameOf(recording, frame);
+    const time_s = (frame + 1) / 30;
+    const version = frame < 40 ? 0 : frame < 70 ? 1 : 2;
+    expect([header.step, header.version, topology.version]).toEqual([10 * (frame + 1), version, version]);
+    expect(topology.nodeIds.length).toBe([81, 80, 82][version]);
+    expect(topology.triangles.length).toBe(3 * [128, 127, 129][version]);
+    expect(topology.isCut.reduce((sum, x) => sum + x, 0)).toBe(version === 2 ? 1 : 0);
+    expect(topology.bodyOf[topology.nodeIds.indexOf(20)]).toBe(1);
+    topology.nodeIds.forEach((node, i) => {
+      placeOf(node, time_s).forEach((x, k) => expect(Math.abs(positions_m[3 * i + k] - x)).toBeLessThan(0.5 * STEP_M + 1e-7));
+    });
+    expect(header.tools.length).toBe(2);
+    const [tool] = header.tools;
+    expect(tool.forceOnTool_n[1]).toBeCloseTo(-time_s, 12);
+    expect([tool.contact, tool.heldNodes, tool.jaw]).toEqual([true, frame % 2, 0.5]);
+    expect(header.bleeding?.ends.length).toBe(version === 0 ? 0 : 1);
+    expect(header.threads.length).toBe(version === 2 ? 1 : 0);
+  });
+
+  it("is the same whichever way one comes to a frame", async () => {
+    const recording = await Recording.read(FIXTURE);
+    const first = await frameOf(recording, 45);
+    for (const frame of [46, 70, 79, 20, 0]) await frameOf(recording, frame);
+    const again = await frameOf(recording, 45);
+    expect(again.snapshot).toEqual(first.snapshot);
+    expect(again.topology).toEqual(first.topology);
+  });
+
+  it("that is broken is refused with a reason", async () => {
+    await expect(Recording.read(new Uint8Array(4))).rejects.toThrow(/does not begin with GLSR/);
+    const newer = FIXTURE.slice();
+    newer[4] = 2;
+    await expect(Recording.read(newer)).rejects.toThrow(/version 2 of the format, this page plays 1/);
+    await expect(Recording.read(FIXTURE.slice(0, FIXTURE.length - 10))).rejects.toThrow(/ends too early/);
+    await expect(Recording.read(FIXTURE.slice(0, 40))).rejects.toThrow();
+    const changed = FIXTURE.slice();
+    changed[FIXTURE.length - 100] ^= 0xff;
+    const recording = await Recording.read(changed);
+    await expect(recording.load(70)).rejects.toThrow();
+  });
+});
+
+describe("between two frames", () => {
+  it("things are on straight lines, but where another surface follows", async () => {
+    const recording = await Recording.read(FIXTURE);
+    const [a, b, c] = [(await frameOf(recording, 38)).snapshot, (await frameOf(recording, 39)).snapshot, (await frameOf(recording, 40)).snapshot];
+    const half = between(a, b, 0.5);
+    half.positions_m.forEach((x, i) => expect(x).toBeCloseTo((a.positions_m[i] + b.positions_m[i]) / 2, 7));
+    expect(half.header.tools[0].tip_m[0]).toBeCloseTo((a.header.tools[0].tip_m[0] + b.header.tools[0].tip_m[0]) / 2, 12);
+    expect(half.header.tools[0].heldNodes).toBe(a.header.tools[0].heldNodes);
+    expect(between(a, b, 0)).toBe(a);
+    expect(between(b, c, 0.5)).toBe(b);
+  });
+
+  it("an instrument that was put elsewhere does not fly there", async () => {
+    const recording = await Recording.read(FIXTURE);
+    const a = (await frameOf(recording, 0)).snapshot;
+    const far = { ...a, header: { ...a.header, tools: a.header.tools.map((tool) => ({ ...tool, tip_m: [1, 0, 0] as const })) } };
+    expect(between(a, far, 0.5).header.tools).toEqual(a.header.tools);
+  });
+});
+
+describe("numbers", () => {
+  it("are read as the program writes them", () => {
+    const taker = new Taker(Uint8Array.from([0, 1, 2, 0xfe, 0xff, 0xff, 0xff, 0x0f, 0xff, 0xff, 0xff, 0xff, 0x0f]));
+    expect([0, 1, 2, 3, 4].map(() => taker.signed())).toEqual([0, -1, 1, 2 ** 31 - 1, -(2 ** 31)]);
+    expect(() => taker.byte()).toThrow(/ends too early/);
+    expect(() => new Taker(Uint8Array.from([0xff, 0xff, 0xff, 0xff, 0x1f])).number()).toThrow(/32 bits/);
+  });
+});
+
+describe("the clock", () => {
+  it("goes at its speed, stands at the end and begins anew from there", () => {
+    const playback = new Playback(1, 3);
+    playback.advance(1);
+    expect(playback.time_s).toBe(1);
+    playback.toggle();
+    playback.faster(-1);
+    playback.advance(1);
+    expect([playback.time_s, playback.speed]).toEqual([1.5, 0.5]);
+    playback.faster(99);
+    expect(playback.speed).toBe(8);
+    playback.advance(1);
+    expect([playback.time_s, playback.playing]).toEqual([3, false]);
+    playback.toggle();
+    expect([playback.time_s, playback.playing]).toEqual([1, true]);
+    playback.faster(-99);
+    expect(playback.speed).toBe(0.1);
+    playback.jump(-5);
+    expect(playback.time_s).toBe(1);
+  });
+
+  it("finds the moments beside a time", () => {
+    expect(neighbour([1, 2, 3], 2, true)).toBe(3);
+    expect(neighbour([1, 2, 3], 2, false)).toBe(1);
+    expect(neighbour([1, 2, 3], 3, true)).toBeNull();
+    expect(neighbour([], 3, false)).toBeNull();
+  });
+});
+
+describe("the timeline", () => {
+  it("keeps the largest force of each stretch and its place", () => {
+    const forces = [[0], [5], [1], [0], [2], [9]];
+    expect(envelope(forces, 0, 2)).toEqual([[0.2, 5], [1, 9]]);
+    expect(envelope(forces, 0, 100).length).toBe(6);
+    expect(envelope(forces, 3, 2).map(([, force]) => force)).toEqual([0, 0]);
+  });
+
+  it("writes times to a hundredth", () => {
+    expect([0, 5.254, 65.999, -1].map(timeText)).toEqual(["0:00.00", "0:05.25", "1:06.00", "0:00.00"]);
+  });
+});
+
+describe("the story of a task", () => {
+  const result = { title: "Find it", outcome: "done", is_passed: true, n_stages: 2, stages: [{ title: "Touch", began_s: 0, ended_s: 1 }], moments: [{ fault: "force", from_s: 1, to_s: 2, tool: null, detail: "5 N" }] };
+
+  it("is read with the titles of what went wrong", () => {
+    const story = decodeStory({ result, titles: ["Too much force"] })!;
+    expect(story.moments).toEqual([{ title: "Too much force", detail: "5 N", from_s: 1, to_s: 2, tool: null }]);
+    expect(endingText(story)).toBe("1 of 2 stages: passed");
+    expect(endingText({ ...story, outcome: null })).toBe("1 of 2 stages; not finished");
+    expect(() => decodeStory({ result: { ...result, stages: 3 }, titles: [] })).toThrow(/task.stages must be an array/);
+  });
+});
+
+describe("the player's keys", () => {
+  it("mean one thing each, and buttons tell keys that there are", () => {
+    const chords = PLAYER_BINDINGS.flatMap((b) => b.chords.map((c) => `${c.shift} ${c.key}`));
+    expect(new Set(chords).size).toBe(chords.length);
+    for (const { action } of PLAYER_BUTTONS.flat()) expect(PLAYER_BINDINGS.some((b) => b.action === action), action).toBe(true);
+  });
+
+  it("are those of the viewer where they do the same", () => {
+    for (const action of ["reset_view", "wireframe", "forces", "fixed_nodes", "theatre", "wipe", "outside", "screenshot", "help"] as const) {
+      const chordsOf = (bindings: ReadonlyArray<{ readonly action: string; readonly chords: unknown }>): unknown => bindings.find((b) => b.action === action)?.chords;
+      expect(chordsOf(PLAYER_BINDINGS)).toEqual(chordsOf(BINDINGS));
+    }
+  });
+});

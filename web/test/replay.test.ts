@@ -159,11 +159,13 @@ describe("the timeline", () => {
 });
 
 describe("the story of a task", () => {
-  const result = { title: "Find it", outcome: "done", is_passed: true, n_stages: 2, stages: [{ title: "Touch", began_s: 0, ended_s: 1 }], moments: [{ fault: "force", from_s: 1, to_s: 2, tool: null, detail: "5 N" }] };
+  const result = { title: "Find it", began_s: 10, outcome: "done", is_passed: true, n_stages: 2, stages: [{ title: "Touch", began_s: 0, ended_s: 1 }], moments: [{ fault: "force", from_s: 1, to_s: 2, tool: null, detail: "5 N" }] };
 
   it("is read with the titles of what went wrong", () => {
     const story = decodeStory({ result, titles: ["Too much force"] })!;
-    expect(story.moments).toEqual([{ title: "Too much force", detail: "5 N", from_s: 1, to_s: 2, tool: null }]);
+    // Ten seconds in, an instrument moved: the result counts from then on, the recording from its beginning.
+    expect(story.moments).toEqual([{ title: "Too much force", detail: "5 N", from_s: 11, to_s: 12, tool: null }]);
+    expect(story.stages).toEqual([{ title: "Touch", began_s: 10, ended_s: 11 }]);
     expect(endingText(story)).toBe("1 of 2 stages: passed");
     expect(endingText({ ...story, outcome: null })).toBe("1 of 2 stages; not finished");
     expect(() => decodeStory({ result: { ...result, stages: 3 }, titles: [] })).toThrow(/task.stages must be an array/);

@@ -1,5 +1,5 @@
 /** What a recording says of its task: stages, what went wrong, and how it ended. */
-import { fieldsOf, fail, numberAt, stringAt } from "../fields";
+import { fieldsOf, fail, numberAt, stringAt, type Fields } from "../fields";
 import type { TaskOutcome } from "../task";
 
 export interface Stage {
@@ -18,6 +18,7 @@ export interface Moment {
   readonly tool: number | null;
 }
 
+/** What became of a task; all times are those of the recording. */
 export interface Story {
   readonly title: string;
   readonly outcome: TaskOutcome | null;
@@ -40,6 +41,9 @@ export function decodeStory(value: unknown): Story | null {
   const titles = listAt(task.titles, "titles");
   const { outcome } = result;
   if (outcome != null && outcome !== "done" && outcome !== "time_over") fail("task.outcome may be done, time_over or null");
+  // The result counts from the first motion of an instrument on.
+  const first_s = result.began_s == null ? 0 : numberAt(result, "began_s", "task", 0);
+  const timeAt = (of: Fields, name: string, place: string): number => first_s + numberAt(of, name, place);
   return {
     title: stringAt(result, "title", "task"),
     outcome: outcome ?? null,
@@ -47,15 +51,15 @@ export function decodeStory(value: unknown): Story | null {
     nStages: numberAt(result, "n_stages", "task", 0),
     stages: listAt(result.stages, "stages").map((item) => {
       const stage = fieldsOf(item, "task.stage");
-      return { title: stringAt(stage, "title", "stage"), began_s: numberAt(stage, "began_s", "stage"), ended_s: numberAt(stage, "ended_s", "stage") };
+      return { title: stringAt(stage, "title", "stage"), began_s: timeAt(stage, "began_s", "stage"), ended_s: timeAt(stage, "ended_s", "stage") };
     }),
     moments: listAt(result.moments, "moments").map((item, i) => {
       const moment = fieldsOf(item, "task.moment");
       return {
         title: String(titles[i] ?? ""),
         detail: stringAt(moment, "detail", "moment"),
-        from_s: numberAt(moment, "from_s", "moment"),
-        to_s: numberAt(moment, "to_s", "moment"),
+        from_s: timeAt(moment, "from_s", "moment"),
+        to_s: timeAt(moment, "to_s", "moment"),
         tool: moment.tool == null ? null : numberAt(moment, "tool", "moment", 0),
       };
     }),

@@ -6,7 +6,7 @@ use crate::bench::thread_cpu_ns;
 use anyhow::{Context, ensure};
 use glisson::math::{DVec3, SeededRandom};
 use glisson::scene::{PathPoint, Scene, tool_on_path};
-use glisson::tool::ToolInput;
+use glisson::tool::{Tool, ToolInput};
 use glisson::training::metrics::Better;
 use glisson::training::moments::Fault;
 use glisson::training::task::{TaskResult, TaskRun};
@@ -172,9 +172,13 @@ fn of_wandering(
 ) -> anyhow::Result<Experiment> {
     let mut not_worse = 0;
     for good in &careful.metrics {
-        let tool = scene.world.tools.iter().find(|tool| Some(&tool.name) == good.tool.as_ref());
-        // A shaft that nothing leads to a trocar need not turn on a detour.
-        let may_stay = good.name == "angular_path" && tool.is_some_and(|tool| tool.trocar_m.is_none());
+        let named = |tool: &Tool| Some(&tool.name) == good.tool.as_ref();
+        let place = scene.world.tools.iter().position(named);
+        // A shaft that nothing leads to a trocar need not turn on a detour, and who is not led does not wander.
+        let may_stay = place.is_some_and(|place| {
+            let is_free = scene.world.tools[place].trocar_m.is_none();
+            scene.paths[place].is_empty() || (good.name == "angular_path" && is_free)
+        });
         if may_stay || !(OF_MOTION.contains(&good.name) || good.name == "time") {
             continue;
         }

@@ -220,7 +220,7 @@ pub const METRICS: &[Metric] = &[
         validity: Validity::None,
         value: Formula::Hand(|m, hand| {
             let unseen = hand.tool.is_seen.iter().skip(1).filter(|is_seen| !**is_seen).count();
-            (!hand.tool.is_seen.is_empty()).then(|| unseen as f64 * m.trace.period_s)
+            (!hand.tool.is_seen.is_empty()).then_some(unseen as f64 * m.trace.period_s)
         }),
     },
     Metric {

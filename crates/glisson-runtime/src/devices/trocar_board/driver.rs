@@ -249,10 +249,10 @@ impl<L: ByteLine> TrocarDevice<L> {
     pub fn check_instrument(&self) -> anyhow::Result<()> {
         let (Some(kind), Some(tag)) = (self.settings.tool_kind, self.instrument()) else { return Ok(()) };
         let InstrumentTag { instrument, serial } = tag;
-        if instrument.tool_kind() == Some(kind) {
+        if instrument.tool_kind() == kind {
             return Ok(());
         }
-        let acts_as = instrument.tool_kind().map_or_else(|| "no tool".into(), |kind| format!("a \"{kind}\""));
+        let acts_as = format!("a \"{}\"", instrument.tool_kind());
         let fitting: Vec<&str> = InstrumentType::acting_as(kind).map(InstrumentType::name).collect();
         anyhow::bail!(
             "the instrument in it ({}, number {serial}) acts as {acts_as}; the scene's instrument is a \"{kind}\": \
@@ -422,7 +422,7 @@ impl<L: ByteLine> TrocarDevice<L> {
             return lost("no instrument is in the trocar");
         }
         match (self.tag, self.settings.tool_kind) {
-            (Some(Ok(tag)), Some(kind)) if tag.instrument.tool_kind() != Some(kind) => {
+            (Some(Ok(tag)), Some(kind)) if tag.instrument.tool_kind() != kind => {
                 return lost(wrong_instrument(tag.instrument));
             }
             (Some(Err(_)) | None, _) => {
@@ -465,7 +465,7 @@ fn wrong_instrument(instrument: InstrumentType) -> &'static str {
         InstrumentType::Hook => acts_as!("hook", "a \"hook\""),
         InstrumentType::BipolarForceps => acts_as!("bipolar forceps", "a \"cautery\""),
         InstrumentType::NeedleHolder => acts_as!("needle holder", "a \"grasper\""),
-        InstrumentType::Endoscope => acts_as!("camera", "no tool"),
+        InstrumentType::Endoscope => acts_as!("endoscope", "an \"endoscope\""),
         InstrumentType::ClipApplier => acts_as!("clip applier", "a \"clipper\""),
     }
 }

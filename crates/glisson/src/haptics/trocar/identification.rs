@@ -76,22 +76,22 @@ impl InstrumentType {
 
     /// The instruments that act as a scene's tool of that kind ([`InstrumentType::tool_kind`]).
     pub fn acting_as(tool_kind: &str) -> impl Iterator<Item = Self> + use<'_> {
-        Self::ALL.into_iter().filter(move |instrument| instrument.tool_kind() == Some(tool_kind))
+        Self::ALL.into_iter().filter(move |instrument| instrument.tool_kind() == tool_kind)
     }
 
-    /// The kind of a scene's tool that it acts as ([`crate::tool::INSTRUMENTS`]); none for the camera.
-    pub fn tool_kind(self) -> Option<&'static str> {
+    /// The kind of a scene's tool that it acts as ([`crate::tool::INSTRUMENTS`]).
+    pub fn tool_kind(self) -> &'static str {
         match self {
-            Self::PalpationProbe => Some("probe"),
+            Self::PalpationProbe => "probe",
             Self::AtraumaticGrasper | Self::ToothedGrasper | Self::BiopsyForceps | Self::NeedleHolder => {
-                Some("grasper")
+                "grasper"
             }
-            Self::Scissors => Some("scissors"),
-            Self::Scalpel => Some("scalpel"),
-            Self::Hook => Some("hook"),
-            Self::BipolarForceps => Some("cautery"),
-            Self::Endoscope => None,
-            Self::ClipApplier => Some("clipper"),
+            Self::Scissors => "scissors",
+            Self::Scalpel => "scalpel",
+            Self::Hook => "hook",
+            Self::BipolarForceps => "cautery",
+            Self::Endoscope => "endoscope",
+            Self::ClipApplier => "clipper",
         }
     }
 }

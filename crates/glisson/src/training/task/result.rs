@@ -87,6 +87,8 @@ pub struct TaskResult {
     pub title: String,
     /// How it ended; none while it goes on, or where it broke off.
     pub outcome: Option<Outcome>,
+    /// Simulated time at which it began [s]; none before an instrument has moved. All other times count from then on.
+    pub began_s: Option<f64>,
     /// Whether all stages were done within the gate.
     pub is_passed: bool,
     /// Stages in all.
@@ -109,6 +111,7 @@ pub struct TaskRecord {
     pub(super) source: TaskSource,
     pub(super) trace: Trace,
     pub(super) outcome: Option<Outcome>,
+    pub(super) began_s: Option<f64>,
     pub(super) stages: Vec<StageResult>,
     pub(super) mistakes: Vec<Moment>,
     pub(super) qualities: Vec<CutQuality>,
@@ -127,7 +130,7 @@ impl TaskRecord {
 
     /// The assessment. Takes some milliseconds a minute: not for every step.
     pub fn result(&self) -> TaskResult {
-        let Self { source: task, trace, outcome, stages, mistakes, qualities } = self;
+        let Self { source: task, trace, outcome, began_s, stages, mistakes, qualities } = self;
         let threshold_n = self.threshold_n();
         let mut all = moments(trace, threshold_n);
         all.extend(mistakes.iter().cloned());
@@ -141,6 +144,7 @@ impl TaskRecord {
         TaskResult {
             title: task.title.clone(),
             outcome: *outcome,
+            began_s: *began_s,
             is_passed: *outcome == Some(Outcome::Done) && gate.iter().all(|line| line.is_kept),
             n_stages: task.stages.len(),
             stages: stages.clone(),

@@ -304,6 +304,7 @@ impl TaskRun {
             source: self.source.clone(),
             trace: self.recorder.trace().clone(),
             outcome: self.outcome,
+            began_s: self.began_s,
             stages: self.stages.clone(),
             mistakes: self.mistakes.clone(),
             qualities: self.goals.iter().filter_map(Goal::cut_quality).collect(),

@@ -182,6 +182,23 @@ fn places_and_lines_follow_cuts_and_their_undoing() {
 }
 
 #[test]
+fn a_place_in_a_tetrahedron_that_was_cut_goes_on_in_what_became_of_it() {
+    // The blade goes 10 mm deep past the first place; both hang together all the same, also when cuts are undone.
+    let stage = "[[task.stage]]\ntitle = \"part\"\npart = { from = [\"-20 mm\", \"5 mm\", \"0.1 mm\"], to = [\"-20 mm\", \"35 mm\", 0] }\n";
+    let scene = block("implicit", "5 ms", CUT, stage);
+    let (mut run, mut world) = play(&scene, 1.6);
+    assert!(run.record().result().metric("cut_area", None).unwrap() > 1e-4);
+    assert_eq!(run.status().n_done, 0);
+    while world.undo_edit() {
+        for step in 0..4 {
+            world.step(&scene.input_at(1.6 + 5e-3 * f64::from(step)));
+            run.after_step(&world);
+        }
+    }
+    assert_eq!(run.status().n_done, 0);
+}
+
+#[test]
 fn a_trigger_that_stays_pressed_marks_once() {
     let tool = "kind = \"probe\"\ntip_radius = \"5 mm\"\n\
         [[tool.path]]\ntime = \"0.5 s\"\ntip = [0, \"-3 mm\", 0]\n\

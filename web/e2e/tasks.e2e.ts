@@ -2,8 +2,7 @@
  * The tasks that come with the program, each done by its demonstration in front of a page: the panel follows the stages to their end,
  * and leads to the report. The program is in GLISSON_PROGRAM.
  */
-import { spawn, type ChildProcess } from "node:child_process";
-import { execFileSync } from "node:child_process";
+import { execFileSync, spawn, type ChildProcess } from "node:child_process";
 import { mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";

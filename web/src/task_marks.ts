@@ -29,14 +29,13 @@ export function nearestOnSurface(point: Vector3, { rest_m, triangles, isCut }: P
   let least = Infinity;
   const triangle = new Triangle();
   const [closest, weights] = [new Vector3(), new Vector3()];
-  const across = (from: Vector3, to: Vector3): number => from.distanceTo(to);
   for (let t = 0; t < isCut.length; t += 1) {
     if (isCut[t] === 1) continue;
     const vertices = [triangles[3 * t], triangles[3 * t + 1], triangles[3 * t + 2]] as const;
     [triangle.a, triangle.b, triangle.c].forEach((corner, k) => corner.fromArray(rest_m, 3 * vertices[k]));
     // No place of it is nearer than its first corner, less how far it reaches from there.
-    const reach = Math.max(across(triangle.a, triangle.b), across(triangle.a, triangle.c));
-    if (across(triangle.a, point) - reach >= least) continue;
+    const reach = Math.max(triangle.a.distanceTo(triangle.b), triangle.a.distanceTo(triangle.c));
+    if (triangle.a.distanceTo(point) - reach >= least) continue;
     const distance = triangle.closestPointToPoint(point, closest).distanceTo(point);
     if (distance < least && triangle.getBarycoord(closest, weights) !== null) {
       least = distance;

@@ -1,6 +1,6 @@
 /** Which key of the player does what: one table for the keyboard, the buttons and the help page. */
 import { button, type ButtonGroups } from "../button_bar";
-import { bind, plain, type Binding } from "../keys";
+import { bind, BINDINGS, plain, type Action, type Binding } from "../keys";
 
 export type PlayerAction =
   | "play" | "frame_back" | "frame_on" | "second_back" | "second_on" | "begin" | "end" | "slower" | "faster" | "moment_back" | "moment_on"
@@ -9,6 +9,11 @@ export type PlayerAction =
 
 /** `<` and `>` need Shift on most keyboards, and not on all. */
 const typed = (key: string) => [{ key, shift: false }, { key, shift: true }];
+
+/** What the viewer has, in its words. */
+function asInViewer(...actions: Array<Action & PlayerAction>): Array<Binding<PlayerAction>> {
+  return actions.flatMap((action) => BINDINGS.filter((binding) => binding.action === action).map((binding) => ({ ...binding, action })));
+}
 
 export const PLAYER_BINDINGS: ReadonlyArray<Binding<PlayerAction>> = [
   bind("Recording", "play", "Space", "play or pause", plain(" ")),
@@ -22,20 +27,14 @@ export const PLAYER_BINDINGS: ReadonlyArray<Binding<PlayerAction>> = [
   bind("Recording", "faster", ">", "faster, up to eight times real time", typed(">")),
   bind("Recording", "moment_back", "[", "to the moment before", plain("[")),
   bind("Recording", "moment_on", "]", "to the next moment that went wrong", plain("]")),
-  bind("View", "reset_view", "R or Backspace", "whole organ from the front", plain("r", "backspace")),
+  ...asInViewer("reset_view"),
   bind("View", "turn_left", "J", "turn the view to the left", plain("j"), true),
   bind("View", "turn_right", "L", "to the right", plain("l"), true),
   bind("View", "turn_up", "I", "upwards", plain("i"), true),
   bind("View", "turn_down", "K", "downwards", plain("k"), true),
   bind("View", "nearer", "U", "nearer", plain("u"), true),
   bind("View", "further", "O", "further away", plain("o"), true),
-  bind("View", "wireframe", "W", "surface, surface with edges, edges", plain("w")),
-  bind("View", "forces", "F", "force arrow", plain("f")),
-  bind("View", "fixed_nodes", "T", "fixed nodes", plain("t")),
-  bind("View", "bodies", "Y", "hide one body more (of several); after the last all are shown", plain("y")),
-  bind("View", "theatre", "N", "through the endoscope, or the organ from outside", plain("n")),
-  bind("View", "wipe", "D", "wipe the endoscope's lens", plain("d")),
-  bind("View", "outside", "Shift N", "picture from outside, beside that of the endoscope", [{ key: "n", shift: true }]),
+  ...asInViewer("wireframe", "forces", "fixed_nodes", "bodies", "theatre", "wipe", "outside"),
   bind("Instrument", "tool_1", "1", "force of the first instrument (of several)", plain("1")),
   bind("Instrument", "tool_2", "2", "of the second", plain("2")),
   bind("Instrument", "tool_3", "3", "of the third", plain("3")),

@@ -95,14 +95,11 @@ const TETRAHEDRA: std::ops::RangeInclusive<usize> = 200..=200_000;
 pub(super) fn read_shape(section: &mut Section<'_>) -> Result<ShapeSource, SceneError> {
     let mesh = section.string("mesh")?;
     let unit = read_mesh_unit(section)?;
-    let tables = [
-        section.section("box")?.map(|table| (read_box as ReadSolid, table)),
-        section.section("ball")?.map(|table| (read_ball as ReadSolid, table)),
-        section.section("cylinder")?.map(|table| (read_cylinder as ReadSolid, table)),
-        section.section("slab")?.map(|table| (read_slab as ReadSolid, table)),
-        section.section("phantom")?.map(|table| (read_phantom as ReadSolid, table)),
-    ];
-    let mut solids = tables.into_iter().flatten();
+    let mut solids = Vec::new();
+    for (key, read) in SOLIDS {
+        solids.extend(section.section(key)?.map(|table| (read, table)));
+    }
+    let mut solids = solids.into_iter();
     let shape = match (mesh, solids.next(), solids.next()) {
         (Some((file, _)), None, _) => BodyShape::File { file: file.into(), unit },
         (None, Some((read, mut table)), None) => {
@@ -150,6 +147,15 @@ impl BodyShape {
         }
     }
 }
+
+/// What may stand in place of a file.
+const SOLIDS: [(&str, ReadSolid); 5] = [
+    ("box", read_box),
+    ("ball", read_ball),
+    ("cylinder", read_cylinder),
+    ("slab", read_slab),
+    ("phantom", read_phantom),
+];
 
 type ReadSolid = fn(&mut Section<'_>) -> Result<BodyShape, SceneError>;
 

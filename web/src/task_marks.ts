@@ -16,11 +16,21 @@ interface OnSurface {
   readonly weights: readonly [number, number, number];
 }
 
-/** Points along a mark, ends included [m]. */
-function pointsOf(mark: TaskMark): Vector3[] {
-  const [from, to] = mark.points_m.map((point) => new Vector3(...point));
-  if (mark.kind !== "line") return [from];
-  return Array.from({ length: DOTS + 1 }, (_, i) => from.clone().lerp(to, i / DOTS));
+/** Points along a mark, ends included [m]: on a line the same way apart, whatever points it is given by. */
+export function pointsOf(mark: TaskMark): Vector3[] {
+  const points = mark.points_m.map((point) => new Vector3(...point));
+  if (mark.kind !== "line") return points.slice(0, 1);
+  const lengths = points.slice(1).map((point, i) => point.distanceTo(points[i]));
+  const apart = lengths.reduce((sum, length) => sum + length, 0) / DOTS;
+  let [piece, before] = [0, 0];
+  return Array.from({ length: DOTS + 1 }, (_, i) => {
+    while (piece < lengths.length - 1 && before + lengths[piece] < i * apart) {
+      before += lengths[piece];
+      piece += 1;
+    }
+    const share = Math.min((i * apart - before) / lengths[piece], 1);
+    return points[piece].clone().lerp(points[piece + 1], share);
+  });
 }
 
 /** The place of the surface at rest that is nearest to a point; not in a cut, which was not there when the task was made. */

@@ -1,6 +1,6 @@
 import { Vector3 } from "three";
 import { describe, expect, it } from "vitest";
-import { nearestOnSurface, TaskMarks } from "../src/task_marks";
+import { nearestOnSurface, pointsOf, TaskMarks } from "../src/task_marks";
 
 /** A square of two triangles in the plane z = 0, and a third one that lies in a cut. */
 const TOPOLOGY = {
@@ -34,4 +34,17 @@ describe("marks of a task", () => {
     marks.show(null, null);
     expect(dots.count).toBe(0);
   });
+});
+
+it("a line through points has its marks the same way apart, corners or not", () => {
+  const square: [number, number, number][] = [[0, 0, 0], [0.01, 0, 0], [0.01, 0.03, 0], [0, 0.03, 0], [0, 0, 0]];
+  const marks = pointsOf({ kind: "line", points_m: square });
+  expect(marks).toHaveLength(41);
+  expect(marks[0].toArray()).toEqual([0, 0, 0]);
+  expect(marks[5].toArray()).toEqual([0.01, 0, 0]);
+  expect(marks[20].distanceTo(new Vector3(0.01, 0.03, 0))).toBeLessThan(1e-12);
+  expect(marks[40].length()).toBeLessThan(1e-12);
+  const [from, to]: [number, number, number][] = [[0, 0, 0], [0.04, 0, 0]];
+  const straight = pointsOf({ kind: "line", points_m: [from, to] });
+  straight.forEach((mark, i) => expect(mark.x).toBeCloseTo(i * 1e-3, 12));
 });

@@ -6,6 +6,7 @@ pub const TASKS: &[(&str, &str)] = &[
     ("palpation", include_str!("../../../tasks/palpation.toml")),
     ("grasp_and_lift", include_str!("../../../tasks/grasp_and_lift.toml")),
     ("line_cut", include_str!("../../../tasks/line_cut.toml")),
+    ("pattern_cut", include_str!("../../../tasks/pattern_cut.toml")),
     ("clip_and_cut", include_str!("../../../tasks/clip_and_cut.toml")),
     ("cut_off", include_str!("../../../tasks/cut_off.toml")),
 ];

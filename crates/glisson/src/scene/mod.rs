@@ -39,7 +39,7 @@ pub use reader::{SceneError, SceneProblem};
 pub use rigid::RigidSource;
 pub use shape::{BodyShape, PhantomOrgan, ShapeSource};
 pub use spec::Scene;
-pub use task::{GateSource, GoalSource, StageSource, TaskSource};
+pub use task::{GateSource, GoalSource, LineSource, StageSource, TaskSource};
 pub use when_cut::WhenCut;
 
 pub use crate::model::kind::{build_model, build_model_as_cut};

@@ -198,6 +198,42 @@ fn a_place_in_a_tetrahedron_that_was_cut_goes_on_in_what_became_of_it() {
     assert_eq!(run.status().n_done, 0);
 }
 
+/// A bar from x = -30 to 30 mm, held at its left end, and a scalpel that cuts it through at x = `at_mm`.
+fn bar_cut_through(at_mm: f64, gate: &str) -> TaskResult {
+    let text = format!(
+        "glisson_scene = 1\n[simulation]\ntime_step = \"2 ms\"\n[organ]\n\
+         box = {{ min = [\"-30 mm\", \"-5 mm\", \"-5 mm\"], max = [\"30 mm\", \"5 mm\", \"5 mm\"] }}\nedge = \"5 mm\"\n\
+         tissue = \"liver\"\nmodel = \"implicit\"\nlaw = \"stable_neo_hooke\"\ndamping = \"40 1/s\"\n\
+         [[organ.fixed]]\nbox = {{ min = [\"-31 mm\", \"-6 mm\", \"-6 mm\"], max = [\"-24 mm\", \"6 mm\", \"6 mm\"] }}\n\
+         [tool]\nname = \"scalpel\"\nkind = \"scalpel\"\ntip_radius = \"0.5 mm\"\nblade_length = \"30 mm\"\nhome_shaft = [0, -1, 0]\n\
+         home_tip = [\"{at_mm} mm\", \"10 mm\", \"-20 mm\"]\n\
+         [[tool.path]]\ntime = \"0.2 s\"\ntip = [\"{at_mm} mm\", \"10 mm\", \"-19 mm\"]\ntrigger = 1\n\
+         [[tool.path]]\ntime = \"1.2 s\"\ntip = [\"{at_mm} mm\", \"10 mm\", \"20 mm\"]\ntrigger = 1\n\
+         [[tool.path]]\ntime = \"1.4 s\"\ntip = [\"{at_mm} mm\", \"10 mm\", \"22 mm\"]\ntrigger = 0\n\
+         [task]\ntitle = \"T\"\n{gate}[[task.stage]]\ntitle = \"out\"\n\
+         excise = {{ center = [\"18 mm\", 0, 0], radius = \"4 mm\" }}\n"
+    );
+    result_of(&Scene::parse(&text).unwrap_or_else(|error| panic!("{error}\n{text}")), 1.4)
+}
+
+#[test]
+fn what_is_cut_out_has_its_margin_and_its_volume() {
+    let gate = "[task.gate]\nmargin = \"3 mm\"\n";
+    let free = bar_cut_through(7.0, gate);
+    assert_eq!((free.outcome, free.is_passed), (Some(Outcome::Done), true), "{:?}", free.gate);
+    // The face at x = 7 mm is 11 mm from the ball's middle; the piece is 23 mm of 10 mm x 10 mm.
+    let metric = |result: &TaskResult, name: &str| result.metric(name, None).unwrap();
+    assert!((metric(&free, "margin_least") - 7e-3).abs() < 2e-4, "{}", metric(&free, "margin_least"));
+    assert!(metric(&free, "margin_mean") > 7e-3 && metric(&free, "margin_mean") < 9e-3);
+    assert!((metric(&free, "specimen_volume") - 2.3e-6).abs() < 2e-8);
+    let close = bar_cut_through(12.0, gate);
+    assert_eq!((close.outcome, close.is_passed), (Some(Outcome::Done), false), "a margin of 2 mm");
+    assert!((metric(&close, "margin_least") - 2e-3).abs() < 2e-4);
+    let through = bar_cut_through(16.0, "");
+    assert_eq!(through.outcome, None, "the rest of it is still on the bar");
+    assert_eq!(through.metric("margin_least", None), None);
+}
+
 #[test]
 fn a_trigger_that_stays_pressed_marks_once() {
     let tool = "kind = \"probe\"\ntip_radius = \"5 mm\"\n\

@@ -1,6 +1,7 @@
 //! Whether a stage's goal is reached.
 
 use super::cut_line::{CutLine, CutQuality};
+use super::excision::{Excised, Excision};
 use super::landmark::Landmark;
 use crate::math::DVec3;
 use crate::mesh::topology::{Pieces, Through};
@@ -41,6 +42,8 @@ pub(super) struct Goal {
     places: Vec<Landmark>,
     line: Option<CutLine>,
     quality: CutQuality,
+    excision: Option<Excision>,
+    excised: Option<Excised>,
     topology_version: Option<u32>,
     pieces: Pieces,
     are_apart: bool,
@@ -62,19 +65,26 @@ fn n_clips_set(world: &World) -> usize {
 impl Goal {
     /// A goal in a world at rest; the place [m] where there is no tissue as an error.
     pub(super) fn new(source: GoalSource, world: &World) -> Result<Self, DVec3> {
-        let points_m = match source {
+        let points_m = match &source {
             GoalSource::Touch { near_m, .. } | GoalSource::Grasp { near_m, .. } => {
-                near_m.into_iter().map(|(near_m, _)| near_m).collect()
+                near_m.iter().map(|(near_m, _)| *near_m).collect()
             }
-            GoalSource::Mark { near_m, .. } => vec![near_m],
-            GoalSource::Lift { point_m, .. } | GoalSource::See { point_m, .. } => vec![point_m],
-            GoalSource::Part { from_m, to_m } | GoalSource::Cut { from_m, to_m, .. } => vec![from_m, to_m],
+            GoalSource::Mark { near_m: point_m, .. }
+            | GoalSource::Lift { point_m, .. }
+            | GoalSource::See { point_m, .. }
+            | GoalSource::Excise { center_m: point_m, .. } => vec![*point_m],
+            GoalSource::Part { from_m, to_m } => vec![*from_m, *to_m],
+            GoalSource::Cut { line, .. } => line.points_m.clone(),
             GoalSource::Reach { .. } | GoalSource::Clip { .. } | GoalSource::Bleed { .. } => Vec::new(),
         };
         let places = points_m.into_iter().map(|point_m| Landmark::find(point_m, world).ok_or(point_m));
-        let line = match source {
-            GoalSource::Cut { from_m, to_m, within_m, .. } => {
-                Some(CutLine::new(from_m, to_m, within_m, world))
+        let line = match &source {
+            GoalSource::Cut { line, within_m, .. } => Some(CutLine::new(line, *within_m, world)),
+            _ => None,
+        };
+        let excision = match source {
+            GoalSource::Excise { center_m, radius_m } => {
+                Some(Excision::new(center_m, radius_m, world).ok_or(center_m)?)
             }
             _ => None,
         };
@@ -83,6 +93,8 @@ impl Goal {
             places: places.collect::<Result<_, _>>()?,
             line,
             quality: CutQuality::default(),
+            excision,
+            excised: None,
             topology_version: None,
             pieces: Pieces::default(),
             are_apart: false,
@@ -95,11 +107,22 @@ impl Goal {
         self.line.as_ref().map(|_| self.quality)
     }
 
-    /// Looks at the cut along its line, if it has one and the mesh changed; also when its stage is over, because somebody may cut on.
+    /// What was cut out, if the goal is that.
+    pub(super) fn excised(&self) -> Option<Excised> {
+        self.excised
+    }
+
+    /// Looks at the cut along its line, or at what is cut out, if it is about that and the mesh changed; also when its stage is over,
+    /// because somebody may cut on.
     pub(super) fn measure(&mut self, world: &World) {
-        if self.line.is_some() && self.is_edited(world) {
-            let surface = world.display_topology();
-            self.quality = self.line.as_ref().map(|line| line.quality(&surface)).unwrap_or_default();
+        if (self.line.is_none() && self.excision.is_none()) || !self.is_edited(world) {
+            return;
+        }
+        if let Some(line) = &self.line {
+            self.quality = line.quality(&world.display_topology());
+        }
+        if let Some(excision) = &mut self.excision {
+            self.excised = excision.look(world);
         }
     }
 
@@ -143,6 +166,10 @@ impl Goal {
                     self.are_apart = both.is_none_or(|(from, to)| from != to);
                 }
                 Look::of(self.are_apart)
+            }
+            GoalSource::Excise { .. } => {
+                self.measure(world);
+                Look::of(self.excised.is_some())
             }
             GoalSource::See { tool, within_rad, nearer_than_m, .. } => {
                 let Some((eye, place_m)) = world.eye(tool).zip(self.places[0].position_m(world)) else {

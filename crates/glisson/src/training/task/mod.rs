@@ -2,10 +2,12 @@
 
 mod landmark;
 mod cut_line;
+mod excision;
 mod goal;
 mod result;
 mod run;
 
 pub use cut_line::CutQuality;
+pub use excision::Excised;
 pub use result::{GateLine, GestureTime, MetricLine, Outcome, StageResult, TaskRecord, TaskResult};
 pub use run::{MarkKind, TaskError, TaskMark, TaskRun, TaskStatus};

@@ -1,6 +1,7 @@
 //! What came of a task: its metrics, the moments that went wrong, and whether it is safe.
 
 use super::cut_line::CutQuality;
+use super::excision::Excised;
 use crate::scene::{GateSource, TaskSource};
 use crate::training::gestures::{gestures, slips};
 use crate::training::metrics::{Better, GRIP_OF_PORCINE_LIVER_N, Measured, MetricValue, Validity, measure};
@@ -55,7 +56,7 @@ pub struct MetricLine {
 /// A line of the safety gate.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GateLine {
-    /// What must not be more.
+    /// What must not be more, or less where it says so.
     pub title: &'static str,
     /// What was found.
     pub found: f64,
@@ -115,6 +116,7 @@ pub struct TaskRecord {
     pub(super) stages: Vec<StageResult>,
     pub(super) mistakes: Vec<Moment>,
     pub(super) qualities: Vec<CutQuality>,
+    pub(super) excised: Option<Excised>,
 }
 
 impl TaskRecord {
@@ -130,7 +132,7 @@ impl TaskRecord {
 
     /// The assessment. Takes some milliseconds a minute: not for every step.
     pub fn result(&self) -> TaskResult {
-        let Self { source: task, trace, outcome, began_s, stages, mistakes, qualities } = self;
+        let Self { source: task, trace, outcome, began_s, stages, mistakes, qualities, excised } = self;
         let threshold_n = self.threshold_n();
         let mut all = moments(trace, threshold_n);
         all.extend(mistakes.iter().cloned());
@@ -140,7 +142,16 @@ impl TaskRecord {
         let tried = ("", "goals that were tried in the wrong way or place");
         metrics.push(own_line("mistakes", "Mistakes", mistakes.len() as f64, tried));
         metrics.extend(cut_lines(qualities));
-        let gate = gate_lines(&task.gate, trace, mistakes.len());
+        metrics.extend(excised.iter().flat_map(excision_lines));
+        let margin_m = excised.and_then(|excised| excised.margins_m).map(|[least_m, _]| least_m);
+        let mut gate = gate_lines(&task.gate, trace, mistakes.len());
+        gate.extend(task.gate.least_margin_m.zip(margin_m).map(|(least, found)| GateLine {
+            title: "margin, at least",
+            found,
+            allowed: least,
+            unit: "m",
+            is_kept: found >= least,
+        }));
         TaskResult {
             title: task.title.clone(),
             outcome: *outcome,
@@ -210,6 +221,24 @@ fn cut_lines(qualities: &[CutQuality]) -> Vec<MetricLine> {
         lines.push(own_line("cut_error_mean", "Mean cut error", mean_m, ("m", mean)));
         let greatest = "greatest distance of the cut's edge from its line, as the mean";
         lines.push(own_line("cut_error_greatest", "Greatest cut error", greatest_m, ("m", greatest)));
+    }
+    lines
+}
+
+/// Of what was cut out.
+fn excision_lines(excised: &Excised) -> Vec<MetricLine> {
+    let specimen = "volume at rest of the pieces that hold what was to be cut out";
+    let mut lines =
+        vec![own_line("specimen_volume", "Volume cut out", excised.specimen_m3, ("m3", specimen))];
+    if let Some([least_m, mean_m]) = excised.margins_m {
+        let least = "least distance of the specimen's cut faces from the ball that was to be cut out, at rest; negative: cut into";
+        let mean = "mean of that distance over the area of the faces, at their middles";
+        for (name, title, value, formula) in
+            [("margin_least", "Least margin", least_m, least), ("margin_mean", "Mean margin", mean_m, mean)]
+        {
+            let line = own_line(name, title, value, ("m", formula));
+            lines.push(MetricLine { better: Better::More, ..line });
+        }
     }
     lines
 }

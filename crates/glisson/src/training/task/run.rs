@@ -53,7 +53,7 @@ pub enum TaskError {
 pub struct TaskMark {
     /// What the points are.
     pub kind: MarkKind,
-    /// A place, or the two ends of a line [m]; of the tissue at rest, but for [`MarkKind::Space`].
+    /// A place, or the points of a line, of a closed one the first again at the end [m]; of the tissue at rest, but for [`MarkKind::Space`].
     pub points_m: Vec<DVec3>,
 }
 
@@ -72,14 +72,17 @@ pub enum MarkKind {
 impl TaskMark {
     /// Where a goal is to be reached, if that is to be seen: what has to be found is not.
     fn of(goal: &GoalSource) -> Option<Self> {
-        let (kind, points_m) = match *goal {
-            GoalSource::Reach { point_m, .. } => (MarkKind::Space, vec![point_m]),
-            GoalSource::Cut { from_m, to_m, .. } => (MarkKind::Line, vec![from_m, to_m]),
-            GoalSource::Lift { point_m, .. } | GoalSource::See { point_m, .. } => {
-                (MarkKind::Place, vec![point_m])
+        let (kind, points_m) = match goal {
+            GoalSource::Reach { point_m, .. } => (MarkKind::Space, vec![*point_m]),
+            GoalSource::Cut { line, .. } => {
+                let first_again = line.points_m.first().filter(|_| line.is_closed);
+                (MarkKind::Line, line.points_m.iter().chain(first_again).copied().collect())
             }
+            GoalSource::Lift { point_m, .. }
+            | GoalSource::See { point_m, .. }
+            | GoalSource::Excise { center_m: point_m, .. } => (MarkKind::Place, vec![*point_m]),
             GoalSource::Touch { near_m, .. } | GoalSource::Grasp { near_m, .. } => {
-                (MarkKind::Place, vec![near_m?.0])
+                (MarkKind::Place, vec![near_m.as_ref()?.0])
             }
             GoalSource::Mark { .. }
             | GoalSource::Part { .. }
@@ -160,7 +163,7 @@ impl TaskRun {
             if of.goal.is_about_vessels() && world.vessels().is_none() {
                 return Err(TaskError::NoVessels { stage, title });
             }
-            let goal = Goal::new(of.goal, world);
+            let goal = Goal::new(of.goal.clone(), world);
             let no_tissue = |point_m| TaskError::NoTissue { stage, title: title.clone(), point_m };
             let mut goal = goal.map_err(no_tissue)?;
             if matches!(of.goal, GoalSource::Part { .. }) && goal.look(world, &[]).holds {
@@ -308,6 +311,7 @@ impl TaskRun {
             stages: self.stages.clone(),
             mistakes: self.mistakes.clone(),
             qualities: self.goals.iter().filter_map(Goal::cut_quality).collect(),
+            excised: self.goals.iter().find_map(Goal::excised),
         }
     }
 }

@@ -62,6 +62,11 @@ pub enum Command {
     },
     /// The last cut is undone.
     Undo,
+    /// An event of the task comes.
+    TaskEvent {
+        /// Its number, from 0.
+        number: u32,
+    },
     /// The program ends.
     Stop,
 }
@@ -328,6 +333,10 @@ impl Live {
             }
             Command::Undo => {
                 self.simulation.undo_edit()?;
+                return Ok(true);
+            }
+            Command::TaskEvent { number } => {
+                self.simulation.let_event_come(number)?;
                 return Ok(true);
             }
             Command::Gravity(gravity_m_per_s2) => self.simulation.set_gravity(gravity_m_per_s2)?,

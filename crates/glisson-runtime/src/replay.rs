@@ -97,6 +97,8 @@ pub fn replay(
             }
             SessionEvent::UndoEdit { .. } => simulation.undo_edit()?,
             SessionEvent::Clip { tool, .. } => simulation.clip_vessel(usize::from(tool))?,
+            SessionEvent::TearVessel { near_m, .. } => simulation.tear_vessel(near_m)?,
+            SessionEvent::TaskEvent { number, .. } => simulation.let_event_come(number)?,
             SessionEvent::Refine { center_m, radius_m, edge_m, .. } => {
                 simulation.refine(FineRegion { center_m, radius_m, edge_m })?;
             }

@@ -1,6 +1,7 @@
 //! A world with a clock, a session being recorded, and models that are made in the background.
 
 mod guard;
+mod events;
 mod scripted;
 
 pub use guard::Broken;
@@ -81,6 +82,8 @@ pub struct Simulation {
     script: Option<scripted::Run>,
     /// What the scene's task asks for.
     task: Option<TaskRun>,
+    /// Gravity without what an event of the task adds to it [m/s2], while one does.
+    steady_gravity_m_per_s2: Option<DVec3>,
 }
 
 impl Simulation {
@@ -109,6 +112,7 @@ impl Simulation {
             broken: None,
             script: None,
             task,
+            steady_gravity_m_per_s2: None,
         })
     }
 
@@ -166,6 +170,8 @@ impl Simulation {
         if let Some(kind) = self.world.awaited_model() {
             self.take_delivery(kind)?;
         }
+        let impaired = self.impaired(input);
+        let input = impaired.as_ref().unwrap_or(input);
         let n_tools = self.world.tools().len();
         let tools = input.tools[..n_tools].to_vec();
         if let Some(tool) = tools.iter().find(|tool| !tool.is_finite()) {
@@ -185,6 +191,7 @@ impl Simulation {
         if let Some(task) = &mut self.task {
             task.after_step(&self.world);
         }
+        self.bring_events_about()?;
         let effort = self.world.effort();
         for notice in self.incidents.of_step(&report, effort) {
             self.notices.tell(notice);
@@ -305,6 +312,11 @@ impl Simulation {
         self.guarded(|simulation| {
             simulation.record(&SessionEvent::Reset { step: simulation.world.steps_made() })?;
             simulation.script = None;
+            if let Some(steady_m_per_s2) =
+                simulation.steady_gravity_m_per_s2.take().filter(|_| simulation.is_live)
+            {
+                simulation.set_gravity_now(steady_m_per_s2)?;
+            }
             simulation.world.reset();
             if let Some(task) = simulation.task.take() {
                 // Where tissue is gone that a goal is about, there is no task any more.
@@ -320,11 +332,19 @@ impl Simulation {
     /// Gravity from now on.
     pub(crate) fn set_gravity(&mut self, gravity_m_per_s2: DVec3) -> anyhow::Result<()> {
         self.guarded(|simulation| {
-            let step = simulation.world.steps_made();
-            simulation.record(&SessionEvent::Gravity { step, gravity_m_per_s2 })?;
-            simulation.world.set_gravity(gravity_m_per_s2);
-            Ok(())
+            if let Some(steady_m_per_s2) = &mut simulation.steady_gravity_m_per_s2 {
+                *steady_m_per_s2 = gravity_m_per_s2;
+                return Ok(());
+            }
+            simulation.set_gravity_now(gravity_m_per_s2)
         })
+    }
+
+    fn set_gravity_now(&mut self, gravity_m_per_s2: DVec3) -> anyhow::Result<()> {
+        let step = self.world.steps_made();
+        self.record(&SessionEvent::Gravity { step, gravity_m_per_s2 })?;
+        self.world.set_gravity(gravity_m_per_s2);
+        Ok(())
     }
 
     /// How thoroughly steps are computed from now on; answers whether that makes a difference to the present model.

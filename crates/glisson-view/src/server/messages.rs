@@ -266,6 +266,9 @@ enum ViewerMessage {
         tool: usize,
     },
     Undo {},
+    TaskEvent {
+        number: u32,
+    },
     ReleaseControl {},
     Contacts {
         shown: bool,
@@ -312,6 +315,7 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
         ViewerMessage::Clip { tool } => Command::Clip { tool },
         ViewerMessage::Refine { tool } => Command::Refine { tool },
         ViewerMessage::Undo {} => Command::Undo,
+        ViewerMessage::TaskEvent { number } => Command::TaskEvent { number },
         ViewerMessage::Gravity { m_per_s2 } => {
             let gravity_m_per_s2 = DVec3::from_array(m_per_s2);
             if gravity_m_per_s2.length() > STRONGEST_GRAVITY_M_PER_S2 {
@@ -407,6 +411,7 @@ mod tests {
         assert_eq!(command(r#"{"type":"clip","tool":1}"#), Ok(Command::Clip { tool: 1 }));
         assert_eq!(command(r#"{"type":"refine","tool":1}"#), Ok(Command::Refine { tool: 1 }));
         assert_eq!(command(r#"{"type":"undo"}"#), Ok(Command::Undo));
+        assert_eq!(command(r#"{"type":"task_event","number":1}"#), Ok(Command::TaskEvent { number: 1 }));
         assert_eq!(wish(r#"{"type":"contacts","shown":true}"#), Ok(Wish::Contacts(true)));
         let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
         assert_eq!(tilted, Ok(Command::Gravity(DVec3::new(0.0, 9.81, 0.0))));

@@ -233,6 +233,8 @@ impl Connection {
                 let watchers = Arc::clone(&self.seat.shared.published.borrow().contact_watchers);
                 self.contacts = shown.then(|| watchers.enter());
             }
+            // Who teaches has no instrument in the hand, and need not be in control.
+            Ok(Wish::Command(command @ Command::TaskEvent { .. })) => self.obey(command).await,
             Ok(Wish::Command(command)) if self.seat.shared.control.may_control(self.seat.viewer) => {
                 self.obey(command).await;
             }

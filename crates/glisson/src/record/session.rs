@@ -120,6 +120,20 @@ pub enum SessionEvent {
         /// Which instrument, in the scene's order.
         tool: u8,
     },
+    /// Before this step the vessel nearest to a place tore there.
+    TearVessel {
+        /// Index of the step to be made.
+        step: u64,
+        /// The place at rest [m].
+        near_m: DVec3,
+    },
+    /// Before this step who teaches let an event of the task come. What it does follows in events of its own.
+    TaskEvent {
+        /// Index of the step to be made.
+        step: u64,
+        /// Which one, from 0 in the scene's order.
+        number: u32,
+    },
     /// From this step on steps are computed so thoroughly: the clock of the recording did not allow more.
     Effort {
         /// Index of the step to be made.
@@ -162,6 +176,8 @@ impl SessionEvent {
             | Self::Remove { step, .. }
             | Self::UndoEdit { step }
             | Self::Clip { step, .. }
+            | Self::TearVessel { step, .. }
+            | Self::TaskEvent { step, .. }
             | Self::Refine { step, .. }
             | Self::Effort { step, .. }
             | Self::QueueModelSwap { step, .. }
@@ -268,6 +284,9 @@ fn check_event(event: &SessionEvent, last_step: u64) -> Result<(), String> {
             Err(format!(
                 "a ball of {radius_m} m around {center_m} with edges of {edge_m} m; allowed: finite numbers, edges above 0"
             ))
+        }
+        SessionEvent::TearVessel { near_m, .. } if !near_m.is_finite() => {
+            Err("the place of a tear is not finite".into())
         }
         SessionEvent::Gravity { gravity_m_per_s2, .. } if !gravity_m_per_s2.is_finite() => {
             Err("gravity is not finite".into())

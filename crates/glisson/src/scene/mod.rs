@@ -39,7 +39,10 @@ pub use reader::{SceneError, SceneProblem};
 pub use rigid::RigidSource;
 pub use shape::{BodyShape, PhantomOrgan, ShapeSource};
 pub use spec::Scene;
-pub use task::{GateSource, GoalSource, LineSource, StageSource, TaskSource};
+pub(crate) use task::share_of_jerk;
+pub use task::{
+    EffectSource, EventSource, EventTime, GateSource, GoalSource, LineSource, StageSource, TaskSource,
+};
 pub use when_cut::WhenCut;
 
 pub use crate::model::kind::{build_model, build_model_as_cut};

@@ -581,6 +581,11 @@ impl World {
         vessels.clip(tip_m, reach_m, self.organ.body(), positions_m)
     }
 
+    /// Tears the vessel that is nearest to a place at rest, there; answers whether blood came of it.
+    pub fn tear_vessel(&mut self, near_m: DVec3) -> bool {
+        self.vessels.as_mut().is_some_and(|vessels| vessels.tear(near_m, self.organ.body()))
+    }
+
     /// Forces of the scene's loads on nodes in the last step, ascending by node; none between an edit and the next step.
     pub fn load_forces(&self) -> &[NodalForce] {
         self.loads.forces()

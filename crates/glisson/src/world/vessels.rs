@@ -222,6 +222,23 @@ impl Vessels {
         true
     }
 
+    /// Tears the vessel that is nearest to a place at rest, there; answers whether blood came of it. Allocates.
+    pub fn tear(&mut self, near_m: DVec3, body: &EditableMesh) -> bool {
+        let whole = self.tubes.iter().enumerate().filter(|(i, _)| self.cut_along[*i].is_none());
+        let places = whole.map(|(i, tube)| {
+            let [from_m, to_m] = tube.ends_m;
+            let way_m = to_m - from_m;
+            let along = ((near_m - from_m).dot(way_m) / way_m.length_squared()).clamp(0.0, 1.0);
+            (tube.point_m(along).distance(near_m), i, along)
+        });
+        let nearest = places.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let Some((_, tube, along)) = nearest else { return false };
+        let before_m3_per_s = self.bleeding_m3_per_s;
+        self.cut_along[tube] = Some(along);
+        self.find_open_ends(body);
+        self.bleeding_m3_per_s > before_m3_per_s
+    }
+
     fn find_open_ends(&mut self, body: &EditableMesh) {
         self.open.clear();
         // Whether blood still comes through the whole of a tube; parents stand before their children.
@@ -367,6 +384,24 @@ mod tests {
         assert!(vessels.clip(DVec3::new(0.005, 0.0101, 0.0103), 1e-3, &body, &rest_m));
         cut_slab(&mut body, &mut vessels, 0.025, 0.035, [0.0, 0.02]);
         assert_eq!(vessels.bleeding_m3_per_s(), 0.0);
+    }
+
+    #[test]
+    fn a_vessel_tears_where_it_is_nearest_and_bleeds_until_it_is_clipped() {
+        let (body, mut vessels) = block();
+        let near_m = DVec3::new(0.03, 0.019, 0.0103);
+        assert!(vessels.tear(near_m, &body));
+        let [end] = vessels.open_ends() else { panic!("{:?}", vessels.open_ends()) };
+        assert_eq!(end.tube, 2);
+        assert!((end.rate_m3_per_s / bleeding_m3_per_s(4e-3) - 1.0).abs() < 1e-12);
+        let rest_m = body.mesh().positions_m.clone();
+        let end_m = vessels.end_position_m(end, &body, &rest_m);
+        assert!(vessels.clip(end_m, 1e-3, &body, &rest_m));
+        assert_eq!(vessels.bleeding_m3_per_s(), 0.0);
+        // The trunk tears before both; a clip on it before that place would have spared the blood.
+        assert!(vessels.tear(DVec3::new(0.005, 0.01, 0.01), &body));
+        assert!((vessels.bleeding_m3_per_s() / bleeding_m3_per_s(6e-3) - 1.0).abs() < 1e-12);
+        assert!(!vessels.tear(near_m, &body), "what lies beyond has lost its supply");
     }
 
     #[test]

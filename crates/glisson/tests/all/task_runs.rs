@@ -1,8 +1,9 @@
 //! Tasks in small worlds: each goal is reached when it should be and not before, mistakes are counted, and what cannot be done is said.
 
 use glisson::scene::{Scene, build_world};
+use glisson::tool::ToolInput;
 use glisson::training::moments::Fault;
-use glisson::training::task::{MarkKind, Outcome, TaskError, TaskResult, TaskRun};
+use glisson::training::task::{Effects, MarkKind, Outcome, TaskError, TaskResult, TaskRun};
 use glisson::workers::Sequential;
 use glisson::world::World;
 use std::path::Path;
@@ -232,6 +233,55 @@ fn what_is_cut_out_has_its_margin_and_its_volume() {
     let through = bar_cut_through(16.0, "");
     assert_eq!(through.outcome, None, "the rest of it is still on the bar");
     assert_eq!(through.metric("margin_least", None), None);
+}
+
+#[test]
+fn events_come_with_time_and_stage_last_as_long_as_they_say_and_come_once() {
+    let task = "[[task.stage]]\ntitle = \"touch\"\ntouch = {}\n[[task.stage]]\ntitle = \"wait\"\nhold = \"9 s\"\ntouch = {}\n\
+        [[task.event]]\ntitle = \"dark\"\nat = \"0.2 s\"\nlight_out = { for = \"0.3 s\" }\n\
+        [[task.event]]\ntitle = \"stuck\"\nstage = 2\nafter = \"0.2 s\"\nfail = { for = \"0.4 s\" }\n\
+        [[task.event]]\ntitle = \"cough\"\njerk = { acceleration = [0, 0, \"4 m/s2\"], for = \"0.2 s\" }\n";
+    let scene = block("precomputed", "5 ms", PRESS, task);
+    let mut world = world_of(&scene);
+    let mut run = begin(&scene, &world).unwrap();
+    assert!(!run.let_come(2, &world), "nothing comes before the task has begun");
+    let (mut dark_s, mut stuck_s, mut greatest) = (0.0, 0.0, 0.0_f64);
+    let mut came_by_hand = None;
+    for step in 1..=500_u32 {
+        world.step(&scene.input_at(f64::from(step) * 5e-3));
+        run.after_step(&world);
+        let effects = run.effects(&world);
+        dark_s += if run.status().is_dark { 5e-3 } else { 0.0 };
+        stuck_s += if effects.fails[0] { 5e-3 } else { 0.0 };
+        greatest = greatest.max(effects.acceleration_m_per_s2.z);
+        if step == 400 {
+            assert!(run.let_come(2, &world) && !run.let_come(2, &world) && !run.let_come(7, &world));
+            came_by_hand = Some(2.0 - run.status().began_s.unwrap());
+        }
+    }
+    assert!((dark_s - 0.3_f64).abs() < 0.011 && (stuck_s - 0.4_f64).abs() < 0.011, "{dark_s} {stuck_s}");
+    assert!((greatest - 4.0).abs() < 0.02, "the middle of half a sine: {greatest}");
+    let result = run.record().result();
+    let came_s: Vec<f64> = result.events.iter().map(|event| event.came_s.unwrap()).collect();
+    assert!((came_s[0] - 0.2).abs() < 0.011, "{came_s:?}");
+    let touched_s = result.stages[0].ended_s;
+    assert!((came_s[1] - touched_s - 0.2).abs() < 0.011, "{came_s:?} {touched_s}");
+    assert!((came_s[2] - came_by_hand.unwrap()).abs() < 1e-9, "{came_s:?}");
+}
+
+#[test]
+fn an_instrument_that_fails_does_not_close_nor_work() {
+    let hand = ToolInput {
+        jaw_opening: 0.2,
+        trigger: 1.0,
+        ..block("precomputed", "5 ms", PRESS, "[[task.stage]]\ntitle = \"t\"\ntouch = {}\n").world.tools[0]
+            .home
+    };
+    let mut effects = Effects::default();
+    assert_eq!(effects.on(0, hand), hand);
+    effects.fails[0] = true;
+    assert_eq!(effects.on(0, hand), ToolInput { jaw_opening: 1.0, trigger: 0.0, ..hand });
+    assert_eq!(effects.on(1, hand), hand);
 }
 
 #[test]

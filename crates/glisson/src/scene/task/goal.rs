@@ -2,8 +2,8 @@
 
 use super::super::reader::{SceneError, Section, Value};
 use super::line::{LineSource, read_ends, read_line};
+use super::tool_name::read_tool;
 use crate::math::DVec3;
-use crate::text::did_you_mean;
 use crate::tool::Tool;
 use crate::units::Dimension;
 
@@ -153,19 +153,6 @@ const MOST_CLIPS: u64 = 1000;
 const SHARE_OF_LINE: f64 = 0.9;
 /// A place is near the middle of an endoscope's picture within this, where a stage says nothing [rad]: 10 degrees, a choice.
 const NEAR_MIDDLE_RAD: f64 = std::f64::consts::PI / 18.0;
-/// The instrument of a goal, by its name; the only one when there is one.
-fn read_tool(table: &mut Section<'_>, tools: &[Tool]) -> Result<usize, SceneError> {
-    match table.string("tool")? {
-        None if tools.len() == 1 => Ok(0),
-        None => Err(table.missing("tool", "tool = \"grasper\", the name of an instrument")),
-        Some((name, at)) => tools.iter().position(|tool| tool.name == name).ok_or_else(|| {
-            let names: Vec<&str> = tools.iter().map(|tool| tool.name.as_str()).collect();
-            let allowed = format!("{}{}", names.join(", "), did_you_mean(&name, &names));
-            table.wrong_value(at, "tool", format!("\"{name}\""), &allowed)
-        }),
-    }
-}
-
 /// `near` and `within`, both or neither.
 fn read_near(table: &mut Section<'_>) -> Result<Option<(DVec3, f64)>, SceneError> {
     let near_m = table.point("near")?;

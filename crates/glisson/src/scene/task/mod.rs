@@ -1,8 +1,12 @@
 //! `[task]`: what somebody who trains has to do in a scene, and within which limits.
 
-mod goal;
+mod tool_name;
 mod line;
+mod goal;
+mod event;
 
+pub(crate) use event::share_of_jerk;
+pub use event::{EffectSource, EventSource, EventTime};
 pub use goal::GoalSource;
 pub use line::LineSource;
 
@@ -27,6 +31,8 @@ pub struct TaskSource {
     pub force_threshold_n: Option<f64>,
     /// What must not happen, whatever else was good.
     pub gate: GateSource,
+    /// What happens to who does it.
+    pub events: Vec<EventSource>,
 }
 
 /// A safety gate: who goes beyond one of these, or stays below a least one, does not pass.
@@ -65,7 +71,7 @@ pub struct StageSource {
 const HINT_AFTER_S: f64 = 30.0;
 /// Time limit of a task that gives none [s]: nobody trains longer without a break, and what is written down grows. A choice.
 const LONGEST_S: f64 = 3600.0;
-/// Stages of a task at most: a choice.
+/// Stages, and events, of a task at most: a choice.
 const MOST_STAGES: usize = 50;
 /// Mistakes and slips are counted up to this.
 const MOST: u64 = 1000;
@@ -85,10 +91,18 @@ pub(super) fn read_task(mut section: Section<'_>, tools: &[Tool]) -> Result<Task
         let found = format!("{} stages", sections.len());
         return Err(section.wrong_table("stage", found, format!("at most {MOST_STAGES}")));
     }
-    let stages = sections.into_iter().map(|stage| read_stage(stage, tools)).collect::<Result<_, _>>()?;
+    let stages: Vec<StageSource> =
+        sections.into_iter().map(|stage| read_stage(stage, tools)).collect::<Result<_, _>>()?;
     let gate = section.section("gate")?.map(read_gate).transpose()?.unwrap_or_default();
+    let seed = section.whole_number("seed", 0..=u64::from(u32::MAX))?.unwrap_or(0);
+    let events = section.sections("event")?;
+    if events.len() > MOST_STAGES {
+        let found = format!("{} events", events.len());
+        return Err(section.wrong_table("event", found, format!("at most {MOST_STAGES}")));
+    }
+    let events = event::read_events(events, tools, stages.len(), seed)?;
     section.finish()?;
-    Ok(TaskSource { title, about, begins_in_theatre, stages, time_limit_s, force_threshold_n, gate })
+    Ok(TaskSource { title, about, begins_in_theatre, stages, time_limit_s, force_threshold_n, gate, events })
 }
 
 /// `view`: whether the task begins with the endoscope's picture.

@@ -1,6 +1,7 @@
 //! What came of a task: its metrics, the moments that went wrong, and whether it is safe.
 
 use super::cut_line::CutQuality;
+use super::events::EventNews;
 use super::excision::Excised;
 use crate::scene::{GateSource, TaskSource};
 use crate::training::gestures::{gestures, slips};
@@ -100,6 +101,8 @@ pub struct TaskResult {
     pub gate: Vec<GateLine>,
     /// All metrics.
     pub metrics: Vec<MetricLine>,
+    /// Events that can come, and when they did.
+    pub events: Vec<EventNews>,
     /// What went wrong, by time.
     pub moments: Vec<Moment>,
     /// What the instruments did.
@@ -115,6 +118,7 @@ pub struct TaskRecord {
     pub(super) began_s: Option<f64>,
     pub(super) stages: Vec<StageResult>,
     pub(super) mistakes: Vec<Moment>,
+    pub(super) events: Vec<EventNews>,
     pub(super) qualities: Vec<CutQuality>,
     pub(super) excised: Option<Excised>,
 }
@@ -132,7 +136,8 @@ impl TaskRecord {
 
     /// The assessment. Takes some milliseconds a minute: not for every step.
     pub fn result(&self) -> TaskResult {
-        let Self { source: task, trace, outcome, began_s, stages, mistakes, qualities, excised } = self;
+        let Self { source: task, trace, outcome, began_s, stages, mistakes, events, qualities, excised } =
+            self;
         let threshold_n = self.threshold_n();
         let mut all = moments(trace, threshold_n);
         all.extend(mistakes.iter().cloned());
@@ -161,6 +166,7 @@ impl TaskRecord {
             stages: stages.clone(),
             gate,
             metrics,
+            events: events.clone(),
             moments: all,
             gestures: gesture_times(trace),
         }

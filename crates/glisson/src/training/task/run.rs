@@ -1,9 +1,10 @@
 //! A task that somebody does: which stage it is at, and what is written down for its assessment.
 
+use super::events::{Effects, EventNews, Events};
 use super::goal::{Goal, Look, Press};
 use super::result::{Outcome, StageResult, TaskRecord};
 use crate::math::DVec3;
-use crate::scene::{GoalSource, TaskSource};
+use crate::scene::{EffectSource, GoalSource, TaskSource};
 use crate::training::moments::{Fault, Moment};
 use crate::training::trace::TraceRecorder;
 use crate::world::World;
@@ -32,6 +33,15 @@ pub enum TaskError {
     Apart {
         /// Which stage, from 1.
         stage: usize,
+        /// What it is called.
+        title: String,
+    },
+    /// An event that lets a vessel bleed in an organ without any.
+    #[error(
+        "the task's event \"{title}\" lets a vessel bleed, and the organ has none: give it [[organ.vessel]], \
+         vessels = \"vessels.csv\", or phantom = {{ vessels = true }}"
+    )]
+    NothingBleeds {
         /// What it is called.
         title: String,
     },
@@ -122,6 +132,10 @@ pub struct TaskStatus {
     pub ended_s: Option<f64>,
     /// How long it may take [s].
     pub time_limit_s: f64,
+    /// Whether the endoscope's lamp is out.
+    pub is_dark: bool,
+    /// What can happen, and what has.
+    pub events: Vec<EventNews>,
     /// Once it is over.
     pub outcome: Option<Outcome>,
 }
@@ -137,6 +151,7 @@ pub struct TaskRun {
     waiting_m: Vec<DVec3>,
     goals: Vec<Goal>,
     recorder: TraceRecorder,
+    events: Events,
     stage: usize,
     /// When the stage began, and since when its goal holds [s after the task's beginning].
     stage_began_s: f64,
@@ -157,6 +172,12 @@ impl TaskRun {
     /// # Errors
     /// [`TaskError`] where the scene has not what a goal is about.
     pub fn new(source: &TaskSource, world: &World) -> Result<Self, TaskError> {
+        let bleeds = |effect: &EffectSource| matches!(effect, EffectSource::Bleed { .. });
+        if let Some(event) = source.events.iter().find(|event| bleeds(&event.effect))
+            && world.vessels().is_none()
+        {
+            return Err(TaskError::NothingBleeds { title: event.title.clone() });
+        }
         let mut goals = Vec::new();
         for (stage, of) in (1..).zip(&source.stages) {
             let title = of.title.clone();
@@ -176,6 +197,7 @@ impl TaskRun {
             waiting_m: (0..world.tools().len()).map(|tool| tip_m(world, tool)).collect(),
             goals,
             recorder: TraceRecorder::new(world),
+            events: Events::new(&source.events),
             stage: 0,
             stage_began_s: 0.0,
             holds_since_s: None,
@@ -207,6 +229,7 @@ impl TaskRun {
             return;
         }
         let now_s = self.recorder.trace().duration_s();
+        self.events.advance(now_s, self.stage, self.stage_began_s);
         self.goals.iter_mut().for_each(|goal| goal.measure(world));
         let look = self.goals[self.stage].look(world, &self.presses);
         self.presses.clear();
@@ -269,6 +292,27 @@ impl TaskRun {
         }
     }
 
+    /// Simulated time since it began [s].
+    fn now_s(&self, world: &World) -> Option<f64> {
+        let now_s = world.steps_made() as f64 * world.spec().time_step_s;
+        self.began_s.filter(|_| self.outcome.is_none()).map(|began_s| now_s - began_s)
+    }
+
+    /// What events do to the next step.
+    pub fn effects(&self, world: &World) -> Effects {
+        self.now_s(world).map(|now_s| self.events.effects(now_s)).unwrap_or_default()
+    }
+
+    /// A place at rest [m] where a vessel tears now because an event says so; told once.
+    pub fn take_tear(&mut self) -> Option<DVec3> {
+        self.events.take_tear()
+    }
+
+    /// Lets an event come now, as who teaches says; answers whether it did: not before the task has begun, nor twice.
+    pub fn let_come(&mut self, event: usize, world: &World) -> bool {
+        self.now_s(world).is_some_and(|now_s| self.events.come(event, now_s))
+    }
+
     /// How it ended, once it has.
     pub fn outcome(&self) -> Option<Outcome> {
         self.outcome
@@ -297,6 +341,8 @@ impl TaskRun {
                 .and(self.began_s)
                 .map(|began_s| began_s + self.recorder.trace().duration_s()),
             time_limit_s: self.source.time_limit_s,
+            is_dark: self.outcome.is_none() && self.events.is_dark(self.recorder.trace().duration_s()),
+            events: self.events.news(),
             outcome: self.outcome,
         }
     }
@@ -310,6 +356,7 @@ impl TaskRun {
             began_s: self.began_s,
             stages: self.stages.clone(),
             mistakes: self.mistakes.clone(),
+            events: self.events.news(),
             qualities: self.goals.iter().filter_map(Goal::cut_quality).collect(),
             excised: self.goals.iter().find_map(Goal::excised),
         }

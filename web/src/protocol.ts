@@ -57,6 +57,8 @@ export interface Hello {
   readonly bodies: readonly BodyInfo[];
   readonly tools: readonly ToolInfo[];
   readonly fixed_nodes: readonly number[];
+  /** The page in control may end the simulation: a start page comes after it. */
+  readonly can_leave: boolean;
 }
 
 /** What the user should know: what is wrong, or (news) as it should be. */
@@ -146,6 +148,7 @@ export type ClientMessage =
   | { readonly type: "clip"; readonly tool: number }
   | { readonly type: "refine"; readonly tool: number }
   | { readonly type: "undo" }
+  | { readonly type: "leave" }
   | { readonly type: "contacts"; readonly shown: boolean }
   | { readonly type: "gravity"; readonly m_per_s2: Vec3 }
   | { readonly type: "model"; readonly name: string };
@@ -198,6 +201,7 @@ export function decodeText(text: string): Hello | ServerNotice | Role | Timing |
     tools: toolsAt(fields),
     models: stringsAt(fields, "models", "hello"),
     fixed_nodes: nodeIdsAt(fields, "fixed_nodes", "hello"),
+    can_leave: fields.can_leave === true,
   };
 }
 

@@ -1,4 +1,5 @@
 /** The scene's task: what is to be done now, how far it is, the time, and at its end the way to the report. */
+import { text } from "./language";
 import { fail, fieldsOf, numberAt, pointsAt, stringAt, type Fields, type Vec3 } from "./fields";
 
 export type TaskOutcome = "done" | "time_over";
@@ -95,13 +96,13 @@ export function clockText(time_s: number): string {
 
 /** The time that a task has taken at `now_s`, and what it may take: `0:12 of 3:00`. */
 export function timeText(task: TaskStatus, now_s: number): string {
-  if (task.began_s === null) return "begins when you move an instrument";
-  return `${clockText(now_s - task.began_s)} of ${clockText(task.time_limit_s)}`;
+  if (task.began_s === null) return text("task_begins");
+  return text("task_time", { time: clockText(now_s - task.began_s), limit: clockText(task.time_limit_s) });
 }
 
 /** How a task ended, in words. */
 export function outcomeText(outcome: TaskOutcome): string {
-  return outcome === "done" ? "All stages are done." : "The time is over.";
+  return text(outcome === "done" ? "task_done" : "task_time_over");
 }
 
 export class TaskPanel {
@@ -121,11 +122,11 @@ export class TaskPanel {
     this.stage.className = "stage";
     this.stage.setAttribute("role", "status");
     this.bar.max = 1;
-    this.bar.setAttribute("aria-label", "How far the task is");
+    this.bar.setAttribute("aria-label", text("task_progress"));
     this.hint.className = "task-hint";
     this.mistake.className = "mistake";
     this.mistake.setAttribute("role", "status");
-    this.report.textContent = "Look at the report";
+    this.report.textContent = text("task_report");
     this.report.href = "report";
     this.report.target = "_blank";
     this.report.rel = "noopener";
@@ -139,14 +140,14 @@ export class TaskPanel {
     this.root.hidden = status === null;
     if (status === null) return false;
     this.title.textContent = status.title;
-    const number = `${Math.min(status.n_done + 1, status.n_stages)} of ${status.n_stages}`;
-    this.stage.textContent = status.outcome === null ? `${number}: ${status.stage}` : outcomeText(status.outcome);
+    const stage = { n: Math.min(status.n_done + 1, status.n_stages), m: status.n_stages, stage: status.stage };
+    this.stage.textContent = status.outcome === null ? text("task_stage", stage) : outcomeText(status.outcome);
     this.stage.dataset.outcome = status.outcome ?? "";
     this.bar.value = (status.n_done + status.share) / status.n_stages;
     this.hint.textContent = status.hint ?? "";
     this.hint.hidden = status.hint === null;
-    const times = status.n_mistakes > 1 ? ` (${status.n_mistakes} mistakes)` : "";
-    this.mistake.textContent = `${status.mistake ?? ""}${times}`;
+    const mistake = status.mistake ?? "";
+    this.mistake.textContent = status.n_mistakes > 1 ? text("task_mistakes", { mistake, n: status.n_mistakes }) : mistake;
     this.mistake.hidden = status.mistake === null;
     this.report.hidden = status.outcome === null;
     this.tick(this.now_s);
@@ -157,7 +158,7 @@ export class TaskPanel {
   tick(now_s: number): void {
     this.now_s = now_s;
     if (this.status === null) return;
-    const text = timeText(this.status, this.status.ended_s ?? now_s);
-    if (this.time.textContent !== text) this.time.textContent = text;
+    const time = timeText(this.status, this.status.ended_s ?? now_s);
+    if (this.time.textContent !== time) this.time.textContent = time;
   }
 }

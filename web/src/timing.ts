@@ -1,4 +1,5 @@
 /** What the server tells about its loops, and about who controls. */
+import { text } from "./language";
 import { rumble, type Feel } from "./feel";
 import { fail, fieldsOf, numberAt, stringAt, type Fields } from "./fields";
 
@@ -150,7 +151,7 @@ function decodeHaptics(haptics: Fields): HapticTiming {
 /** For the panel: `1000 Hz, 0.00 % missed`. */
 export function hapticsText(haptics: HapticTiming): string {
   const missed = (100 * haptics.missed_deadlines) / Math.max(1, haptics.deadlines);
-  return `${haptics.rate_hz.toFixed(0)} Hz, ${missed.toFixed(2)} % missed`;
+  return text("value_missed", { rate: haptics.rate_hz.toFixed(0), percent: missed.toFixed(2) });
 }
 
 /** For the panel: `3 µs, 99.9 % 41`. */
@@ -160,13 +161,14 @@ export function jitterText(haptics: HapticTiming): string {
 
 /** For the panel: what a tick takes of its period, `4 of 1000 us, 99.9 % 7`. */
 export function tickText(haptics: HapticTiming): string {
-  return `${haptics.tick_p50_us.toFixed(0)} of ${haptics.period_us.toFixed(0)} µs, 99.9 % ${haptics.tick_p999_us.toFixed(0)}`;
+  const [tick, period, most] = [haptics.tick_p50_us, haptics.period_us, haptics.tick_p999_us].map((us) => us.toFixed(0));
+  return text("value_tick", { tick, period, most });
 }
 
 /** For the panel where no loop tells its times; null without news. */
 export function whereHapticsAre(timing: Timing | null): string | null {
   if (timing === null) return null;
-  return { nowhere: "no device", here: "starting", other_machine: "at the other machine" }[timing.haptics_at];
+  return text(`value_${timing.haptics_at}`);
 }
 
 /** What steps take of their budget, how many took longer, and how often a state is published; two lines. */

@@ -6,9 +6,11 @@ import { HandMotion } from "./hand_motion";
 import { Hands } from "./hands";
 import { newCounters, type ViewerParts } from "./hook";
 import { actionOf, rollOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
+import { text } from "./language";
+import { goesElsewhere, Leaving } from "./leaving";
+import { Looks } from "./looks";
 import type { Orbit } from "./orbit";
 import { drawOrientation } from "./orientation";
-import { SURFACE_STYLES } from "./organ";
 import { Help, Messages, savePicture, showConnection, Toolbar } from "./overlays";
 import type { Page } from "./page";
 import { lengthOf, Panel, panelValues } from "./panel";
@@ -24,8 +26,6 @@ import { Table } from "./table";
 import { TaskPanel } from "./task";
 import { Theatre } from "./theatre/view";
 import type { ToolDriver } from "./tool_driver";
-
-const NO_ENDOSCOPE = "This scene has no endoscope: give it a [[tool]] with kind = \"endoscope\".";
 
 export class Viewer {
   private readonly scene: Scene3d;
@@ -57,7 +57,8 @@ export class Viewer {
   private readonly resolution = new Resolution();
   private frameAsked = false;
   private lastFrame_ms: number | null = null;
-  private readonly shown = { style: 0, contacts: false, forces: true, fixedNodes: false, profiler: false };
+  private readonly looks: Looks;
+  private readonly leaving: Leaving;
   private readonly counters = newCounters();
 
   constructor(private readonly page: Page) {
@@ -77,12 +78,11 @@ export class Viewer {
     this.controls = new Controls(page.scene, this.motion);
     window.addEventListener("keydown", (event) => this.key(event));
     new GamepadInput((motion_m) => this.motion.nudge(motion_m, 1), (action) => this.run(action, false), () => this.news.rumble(this.hands.chosen));
-    window.addEventListener("error", (event) => this.messages.error(`Error in the page: ${event.message}`));
-    window.addEventListener("unhandledrejection", (event) => this.messages.error(`Error in the page: ${event.reason}`));
+    window.addEventListener("error", (event) => this.messages.error(text("page_error", { message: event.message })));
+    window.addEventListener("unhandledrejection", (event) => this.messages.error(text("page_error", { message: String(event.reason) })));
     const sizes = new ResizeObserver(() => this.resize());
-    for (const part of [page.scene, page.toolbar]) sizes.observe(part);
-    this.resize();
-    page.scene.addEventListener("webglcontextlost", () => this.messages.error("The graphics were lost; reload the page."));
+    for (const part of [page.scene, page.toolbar, page.panel, page.task]) sizes.observe(part);
+    page.scene.addEventListener("webglcontextlost", () => this.messages.error(text("graphics_lost")));
 
     this.connection = new Connection(socketAddress(window.location.href), {
       state: (state, attempt) => this.connectionState(state, attempt),
@@ -91,16 +91,25 @@ export class Viewer {
       snapshot: (snapshot, bytes) => this.receive(snapshot, bytes),
       ...this.news.events,
       task: ({ status }) => {
-        if (this.task.show(status) && !this.theatre.on) this.run("theatre", false);
+        if (this.task.show(status) && !this.theatre.on) this.turnTheatre(true);
         if (this.scene.taskMarks.show(status?.mark ?? null, this.scene.organs.get(0)?.positions_m ?? null)) this.redraw();
       },
       error: (message) => this.messages.error(message),
       notice: (message) => this.messages.notice(message),
+    }, async () => (this.hello?.can_leave === true ? goesElsewhere() : false));
+    this.leaving = new Leaving({
+      leave: () => this.connection.send({ type: "leave" }),
+      notice: (words) => this.messages.notice(words),
+      changed: () => this.refreshSwitches(),
     });
+    this.looks = new Looks(page.panel, this.panel, this.scene, this.theatre, this.contacts, (action) => this.run(action, false));
+    this.looks.begin(this.connection);
+    this.showProfiler();
+    this.resize();
     this.connection.open();
     this.refreshSwitches();
     // The panel's rates and the profiler stay fresh although nothing moves.
-    setInterval(() => this.shown.profiler && this.showProfiler(), 250);
+    setInterval(() => this.looks.shown.profiler && this.showProfiler(), 250);
   }
 
   private connectionState(state: ConnectionState, attempt: number): void {
@@ -174,8 +183,10 @@ export class Viewer {
   }
 
   private resize(): void {
-    // On a narrow page the panel lies over the organ instead of beside it.
-    this.scene.setCovered(window.innerWidth > 860 ? this.page.panel.getBoundingClientRect().right : 0);
+    const [panel, toolbar, task] = [this.page.panel, this.page.toolbar, this.page.task].map((part) => part.getBoundingClientRect());
+    // On a narrow page the panel is above the organ instead of beside it.
+    if (panel.width < 0.6 * window.innerWidth) this.scene.setCovered(panel.right);
+    else this.scene.setCovered(0, 0, Math.max(0, window.innerHeight - toolbar.top), Math.max(panel.bottom, task.bottom));
     this.scene.resize();
     this.theatre.layOut();
     this.redraw();
@@ -227,36 +238,28 @@ export class Viewer {
         this.scene.resetView();
         break;
       case "theatre":
-        if (this.theatre.endoscope === null) this.messages.notice(NO_ENDOSCOPE);
-        else {
-          this.controls.cancel();
-          this.theatre.turn(!this.theatre.on);
-        }
+        this.turnTheatre(!this.theatre.on);
+        this.looks.keepTheatre();
         break;
       case "wipe":
         this.theatre.smear = 0;
         break;
       case "outside":
         this.theatre.toggleOutside();
+        this.looks.keepTheatre();
         break;
       case "wireframe":
-        this.shown.style = (this.shown.style + 1) % SURFACE_STYLES.length;
-        this.scene.setStyle(SURFACE_STYLES[this.shown.style]);
-        break;
       case "contacts":
-        this.shown.contacts = !this.shown.contacts;
-        this.contacts.turn(this.shown.contacts, this.connection);
-        break;
       case "forces":
-        this.shown.forces = !this.shown.forces;
-        break;
       case "fixed_nodes":
-        this.shown.fixedNodes = !this.shown.fixedNodes;
-        this.scene.showFixed(this.shown.fixedNodes);
-        break;
       case "profiler":
-        this.shown.profiler = !this.shown.profiler;
-        this.showProfiler();
+      case "panel":
+      case "plot":
+        this.looks.turn(action, this.connection);
+        if (action === "profiler") this.showProfiler();
+        break;
+      case "start_page":
+        this.leaving.press(this.hello?.can_leave === true, performance.now());
         break;
       case "help":
         this.help.open = !this.help.open;
@@ -275,12 +278,20 @@ export class Viewer {
     this.redraw();
   }
 
+  private turnTheatre(on: boolean): void {
+    if (this.theatre.endoscope === null) return this.messages.notice(text("no_endoscope"));
+    this.controls.cancel();
+    this.theatre.turn(on);
+    this.refreshSwitches();
+    this.redraw();
+  }
+
   /** Closes what is open, else takes the instrument off the organ. */
   private leave(): void {
     if (this.help.open) this.help.open = false;
     else if (this.tool.pushing) this.controls.cancel();
     else if (this.tool.active) this.tool.retract();
-    else if (this.shown.profiler) this.run("profiler", false);
+    else if (this.looks.shown.profiler) this.run("profiler", false);
   }
 
   private async screenshot(): Promise<void> {
@@ -288,7 +299,8 @@ export class Viewer {
   }
 
   private refreshSwitches(): void {
-    this.toolbar.show(this.header?.paused ?? false, this.help.open, this.shown, this.theatre);
+    const leaving = this.hello?.can_leave === true ? (this.leaving.isAsked(performance.now()) ? "asked" : "offered") : null;
+    this.toolbar.show(this.header?.paused ?? false, this.help.open, this.looks.shown, this.theatre, leaving);
   }
 
   private invalidate(): void {
@@ -308,7 +320,7 @@ export class Viewer {
     }
     this.showWaiting();
     if (this.sceneChanged) {
-      this.scene.styleTools(arrowScale_m_per_n(this.history.peak_n), this.shown.forces, !this.shown.contacts);
+      this.scene.styleTools(arrowScale_m_per_n(this.history.peak_n), this.looks.shown.forces, !this.looks.shown.contacts);
       this.contacts.show(this.scene.distance_m);
       if (this.header !== null) {
         this.scene.showTools(this.header);
@@ -346,7 +358,7 @@ export class Viewer {
         if (shown === "changed") this.sceneChanged = true;
       } catch (error) {
         if (!(error instanceof ProtocolError)) throw error;
-        this.messages.error(`Message not understood: ${error.message}`);
+        this.messages.error(text("not_understood", { message: error.message }));
       }
     }
     this.waiting.clear();
@@ -367,15 +379,15 @@ export class Viewer {
   }
 
   private showProfiler(): void {
-    this.page.profiler.hidden = !this.shown.profiler;
-    if (!this.shown.profiler) return;
+    this.page.profiler.hidden = !this.looks.shown.profiler;
+    if (!this.looks.shown.profiler) return;
     const { hello, header, news, scene: { renderer, software } } = this;
     this.page.profiler.textContent = profilerReport(this.profile.summary(performance.now()), renderer.info.render, software, header, hello, news.timing);
   }
 
   /** The parts that `hook.ts` reads. */
   parts(): ViewerParts {
-    const { scene, panel, messages, help, tool, profile, hello, header, theatre, motion: { pickedVertex }, state, shown, counters } = this;
+    const { scene, panel, messages, help, tool, profile, hello, header, theatre, motion: { pickedVertex }, state, looks: { shown }, counters } = this;
     return { scene, panel, messages, help, tool, profile, hello, header, theatre, pickedVertex, state, shown, counters };
   }
 }

@@ -62,7 +62,10 @@ export class Theatre implements OtherView {
   endoscope: number | null = null;
   smear = 0;
   private metered_m = FURTHEST_EXPOSED_M;
-  private outside = true;
+  /** Whether the picture from outside is beside that of the endoscope. */
+  outside = true;
+  /** Whether scenes with an endoscope begin with its picture, where the page's address does not say. */
+  beginsOn = false;
   private eye: Eye | null = null;
   private circle: Circle = { x: 0, y: 0, radius: 1 };
   private hello: Hello | null = null;
@@ -74,7 +77,7 @@ export class Theatre implements OtherView {
 
   constructor(
     private readonly scene: Scene3d,
-    private readonly page: Pick<Page, "panel" | "toolbar" | "orientation" | "hint" | "outside">,
+    private readonly page: Pick<Page, "panel" | "toolbar" | "orientation" | "hint" | "outside"> & Partial<Pick<Page, "task">>,
   ) {
     this.lens = new LensPass(scene.software ? 0 : 4, this.distortion);
     this.cavity = newCavity(scene.tissue);
@@ -97,7 +100,8 @@ export class Theatre implements OtherView {
     this.eye = null;
     this.choose(chosen);
     placeCavity(this.cavity, hello);
-    const asked = isFirst && new URLSearchParams(window.location.search).get("view") === "theatre";
+    const view = new URLSearchParams(window.location.search).get("view");
+    const asked = isFirst && (view === null ? this.beginsOn : view === "theatre");
     this.turn((this.on || asked) && this.endoscope !== null);
   }
 
@@ -130,16 +134,19 @@ export class Theatre implements OtherView {
 
   /** The page's size or its buttons changed: the circle fills what they leave free. */
   layOut(): void {
-    const { panel, toolbar, outside } = this.page;
+    const { panel, toolbar, outside, task } = this.page;
     const [panelBox, toolbarBox] = [panel.getBoundingClientRect(), toolbar.getBoundingClientRect()];
+    // On a narrow page panel and task are above the picture.
+    const isAbove = panelBox.width > 0.6 * this.scene.width;
+    const top = isAbove ? Math.max(panelBox.bottom, task?.getBoundingClientRect().bottom ?? 0) : 0;
     const bottom = toolbarBox.height > 0 ? Math.min(toolbarBox.top, this.scene.height) : this.scene.height;
     const right = this.scene.width - this.scene.covered.right;
     const beside = (left: number): Circle => ({
       x: (left + right) / 2,
-      y: bottom / 2,
-      radius: Math.max(1, Math.min(right - left, bottom) / 2 - RIM),
+      y: (top + bottom) / 2,
+      radius: Math.max(1, Math.min(right - left, bottom - top) / 2 - RIM),
     });
-    const free = beside(Math.min(panelBox.right, 0.6 * this.scene.width));
+    const free = beside(isAbove ? 0 : Math.min(panelBox.right, 0.6 * this.scene.width));
     this.circle = free.radius < SMALLEST_RADIUS ? beside(0) : free;
     outside.hidden = !this.showsOutside;
     outside.style.bottom = `${this.scene.height - bottom + RIM}px`;

@@ -225,6 +225,8 @@ pub(super) enum Wish {
     ReleaseControl,
     /// Contact points are looked at, or no longer: for everyone.
     Contacts(bool),
+    /// The simulation ends, and the page that it was started from comes again.
+    Leave,
 }
 
 #[derive(Deserialize)]
@@ -267,6 +269,7 @@ enum ViewerMessage {
     },
     Undo {},
     ReleaseControl {},
+    Leave {},
     Contacts {
         shown: bool,
     },
@@ -284,6 +287,7 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
         serde_json::from_str(text).map_err(|e| format!("message not understood: {e}"))?;
     Ok(Wish::Command(match message {
         ViewerMessage::ReleaseControl {} => return Ok(Wish::ReleaseControl),
+        ViewerMessage::Leave {} => return Ok(Wish::Leave),
         ViewerMessage::Contacts { shown } => return Ok(Wish::Contacts(shown)),
         ViewerMessage::Tool { tool, tip_m, shaft, roll_rad, jaw, trigger } => {
             let shaft_in_world = DVec3::from_array(shaft)

@@ -34,6 +34,8 @@ export async function faultsOfLayout(page: Page): Promise<string[]> {
     boxes.forEach(({ part, node, box }, i) => {
       // Half a pixel is rounding.
       const isOut = box.left < -0.5 || box.top < -0.5 || box.right > innerWidth + 0.5 || box.bottom > innerHeight + 0.5;
+      // Of what scrolls enough has to be seen.
+      if ((part.startsWith("#panel") || part.startsWith("#task")) && box.height < 60) faults.push(`${part} is hardly seen: ${text(box)}`);
       if (isOut) faults.push(`${part} reaches out of the page: ${text(box)}`);
       // What scrolls may be longer than it is high.
       if (node.scrollWidth > node.clientWidth + 1 && getComputedStyle(node).overflowX !== "auto") faults.push(`${part} is cut off: ${node.scrollWidth} of ${node.clientWidth}`);

@@ -3,7 +3,7 @@
  * The program is in GLISSON_PROGRAM.
  */
 import { spawn, type ChildProcess } from "node:child_process";
-import { mkdtempSync, readdirSync, rmSync, writeFileSync } from "node:fs";
+import { existsSync, mkdtempSync, readdirSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { afterAll, afterEach, beforeAll, beforeEach, describe, expect, it } from "vitest";
@@ -66,6 +66,10 @@ describe.skipIf(program === undefined)("the start page", () => {
   });
 
   const task = (title: string | RegExp) => page.locator("#tasks li").filter({ has: page.getByRole("heading", { name: title }) });
+  function sessions(): string[] {
+    const out = join(folder, "out/sessions");
+    return existsSync(out) ? readdirSync(out) : [];
+  }
   /** Back to the start page: once is not enough. */
   async function goBack(): Promise<void> {
     await page.keyboard.press("Shift+Q");
@@ -90,7 +94,7 @@ describe.skipIf(program === undefined)("the start page", () => {
       await page.screenshot({ path: resultFile(`start-task-${width}.png`) });
     }
     await goBack();
-    expect(readdirSync(join(folder, "out/sessions"))).toEqual(["palpation.jsonl"]);
+    expect(sessions()).toEqual(["palpation.jsonl"]);
     expect(await page.locator("#error").isVisible()).toBe(false);
 
     // In the theatre view, with a look that is kept; a second page goes where the first one leads.
@@ -132,10 +136,23 @@ describe.skipIf(program === undefined)("the start page", () => {
     });
     expect(silent.map(({ role }) => role?.value)).toEqual([]);
     expect(nodes.filter(({ role }) => role?.value === "heading").length).toBeGreaterThan(8);
+    // Cancelled, it leads nowhere and leaves nothing behind.
+    await page.keyboard.press("Enter");
+    await page.locator("#status").filter({ hasText: "the organs are made" }).waitFor();
+    await page.keyboard.press("Escape");
+    await page.locator("#making").waitFor({ state: "hidden", timeout: MAKING_MS });
+    await page.waitForTimeout(500);
+    await page.getByRole("heading", { level: 1, name: "What do you want to do?" }).waitFor();
+    expect(sessions()).toEqual([]);
+    await page.keyboard.press("ArrowDown");
+    expect(await focused()).toBe(first);
     await page.keyboard.press("Enter");
     await waitForOrgan(page);
-    await page.waitForTimeout(500);
+    // A task is measured in real time.
+    await page.keyboard.press("<");
+    await page.waitForFunction(() => window.glisson!.messages.some((words) => words.includes("real time")));
     await goBack();
+    expect(problems.splice(0).filter((problem) => !problem.includes("real time"))).toEqual([]);
     expect(problems).toEqual([]);
   });
 
@@ -167,7 +184,7 @@ describe.skipIf(program === undefined)("the start page", () => {
   it("tells in words what cannot be made", async () => {
     writeFileSync(
       join(folder, "gone.toml"),
-      'glisson_scene = 1\nname = "without its mesh"\n[organ]\nmesh = "gone.tet"\ntissue = "liver"\n[[organ.fixed]]\n' +
+      'glisson_scene = 1\nname = "without its mesh"\n[organ]\nmesh = "gone.tet"\ntissue = "liver"\nmodel = "precomputed"\n[[organ.fixed]]\n' +
         'furthest = { direction = [0, 0, -1], fraction = 0.5 }\n[tool]\ntip_radius = "5 mm"\nhome_tip = [0, 0, "9 cm"]\nhome_shaft = [0, 0, 1]\n',
     );
     await page.getByRole("button", { name: "Look again" }).click();

@@ -4,6 +4,7 @@ import { keysIn, LANGUAGE, text } from "./language";
 export type Action =
   | "pause"
   | "single_step"
+  | "slow_motion"
   | "reset_view"
   | "reset_simulation"
   | "next_model"
@@ -88,6 +89,7 @@ function own(group: "simulation" | "view" | "instrument" | "program", action: Ac
 export const BINDINGS: readonly Binding[] = [
   own("simulation", "pause", "Space", plain(" ")),
   own("simulation", "single_step", "→ or .", plain("arrowright", "."), true),
+  own("simulation", "slow_motion", "< or ,", [...both("<"), ...plain(",")]),
   own("simulation", "reset_simulation", "Shift R", [{ key: "r", shift: true }]),
   own("simulation", "next_model", "M", plain("m")),
   own("simulation", "tilt_left", "Shift ←", [{ key: "arrowleft", shift: true }], true),

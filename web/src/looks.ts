@@ -19,6 +19,8 @@ type Shown = { -readonly [name in keyof ShownParts]: ShownParts[name] };
 
 export class Looks {
   readonly shown: Shown;
+  /** The panel was never asked for: it is open where there is room. */
+  private panelIsUsual: boolean;
   private readonly panelSwitch = document.createElement("button");
   private readonly plotSwitch = document.createElement("button");
 
@@ -31,7 +33,8 @@ export class Looks {
     run: (action: Action) => void,
   ) {
     const { style, contacts: hasContacts, forces, fixedNodes, profiler, panel: isOpen, plot, theatre: on, outside } = readSettings();
-    this.shown = { style, contacts: hasContacts, forces, fixedNodes, profiler, panel: isOpen ?? window.innerWidth > NARROW_PX, plot };
+    this.shown = { style, contacts: hasContacts, forces, fixedNodes, profiler, panel: isOpen ?? true, plot };
+    this.panelIsUsual = isOpen === null;
     theatre.beginsOn = on;
     theatre.outside = outside;
     for (const [button, action] of [[this.panelSwitch, "panel"], [this.plotSwitch, "plot"]] as const) {
@@ -79,15 +82,14 @@ export class Looks {
         break;
       case "panel":
         shown.panel = !shown.panel;
+        this.panelIsUsual = false;
         break;
       case "plot":
         shown.plot = !shown.plot;
         break;
     }
     this.layOut();
-    // Where the panel was never asked for, it stays as the page's width has it.
-    const { panel, ...others } = shown;
-    this.keep(which === "panel" ? { panel, ...others } : others);
+    this.keep({ ...shown, panel: this.panelIsUsual ? null : shown.panel });
   }
 
   /** What the theatre view is now, as the user chose it. */
@@ -99,7 +101,9 @@ export class Looks {
     keepSettings(changed);
   }
 
-  private layOut(): void {
+  /** The page's size changed, or a switch was turned. */
+  layOut(): void {
+    if (this.panelIsUsual) this.shown.panel = window.innerWidth > NARROW_PX;
     const { panel: isOpen, plot } = this.shown;
     this.root.classList.toggle("shut", !isOpen);
     this.panelSwitch.textContent = isOpen ? "−" : "+";

@@ -124,7 +124,7 @@ export function showConnection(page: Pick<Page, "link" | "banner">, state: Conne
 }
 
 const GROUPS = [
-  [["pause", "␣"], ["single_step", "→"], ["reset_simulation", "⇧R"], ["next_model", "M"]],
+  [["pause", "␣"], ["single_step", "→"], ["slow_motion", "<"], ["reset_simulation", "⇧R"], ["next_model", "M"]],
   [["reset_view", "R"], ["wireframe", "W"], ["fixed_nodes", "T"], ["contacts", "C"], ["forces", "F"]],
   [["theatre", "N"], ["wipe", "D"], ["outside", "⇧N"]],
   [["cut", "X"]],
@@ -160,8 +160,9 @@ export class Toolbar extends ButtonBar<Action> {
   }
 
   /** Shows all switches as on or off. */
-  show(paused: boolean, help: boolean, shown: ShownParts, theatre: ShownTheatre, leaving: "offered" | "asked" | null): void {
+  show(paused: boolean, help: boolean, shown: ShownParts, theatre: ShownTheatre, leaving: "offered" | "asked" | null, speed: number): void {
     this.set("pause", paused, text(paused ? "button_go_on" : "button_pause"));
+    this.set("slow_motion", speed < 1, speed < 1 ? text("button_slow_at", { speed }) : text("button_slow_motion"));
     this.set("wireframe", shown.style !== 0);
     this.set("contacts", shown.contacts);
     this.set("forces", shown.forces);

@@ -4,7 +4,7 @@ import { drawJitter } from "./jitter";
 import { text } from "./language";
 import type { Hello, HandHeader, Vec3 } from "./protocol";
 import { handOf, type Feel } from "./feel";
-import { hapticsText, jitterText, tickText, whereHapticsAre, type HapticTiming, type LoopNews } from "./timing";
+import { hapticsText, jitterText, tickText, whereHapticsAre, type HapticTiming, type LoopNews, type Timing } from "./timing";
 
 export type PanelKey =
   | "scene"
@@ -88,6 +88,12 @@ function handText(feel: Feel | null, tool: number): string {
   return hand.is_held ? forceText(lengthOf(hand.force_n)) : text("value_let_go");
 }
 
+/** `0.98 ×`, and in slow motion that it is. */
+function factorText(factor: number, timing: Pick<Timing, "speed"> | null): string {
+  const shown = factor.toFixed(2);
+  return timing !== null && timing.speed < 1 ? text("value_slow", { factor: shown }) : `${shown} ×`;
+}
+
 export function panelValues(
   hello: Hello | null,
   header: HandHeader | null,
@@ -111,7 +117,7 @@ export function panelValues(
     tip: header === null ? NONE : pointText_mm(header.tip_m),
     state: text(header === null ? "value_waiting" : header.paused ? "value_paused" : "value_running"),
     rate: header === null ? NONE : text("value_rate", { n: grouped.format(header.rate_steps_per_s) }),
-    real_time_factor: header === null ? NONE : `${header.realTimeFactor.toFixed(2)} ×`,
+    real_time_factor: header === null ? NONE : factorText(header.realTimeFactor, timing),
     step: header === null ? NONE : grouped.format(header.step),
     time: header === null ? NONE : `${header.time_s.toFixed(3)} s`,
     control: role === null ? NONE : text(role.role === "controller" ? "value_this_page" : role.control_is_taken ? "value_another" : "value_free"),
@@ -214,7 +220,8 @@ export class Panel {
     return section;
   }
 
-  show(values: PanelValues, header: HandHeader | null): void {
+  /** `speed`: simulated seconds in a second that were asked for. */
+  show(values: PanelValues, header: HandHeader | null, speed = 1): void {
     for (const [key, cell] of this.cells) {
       if (this.shown?.[key] !== values[key]) cell.textContent = values[key];
     }
@@ -222,7 +229,7 @@ export class Panel {
     this.shown = values;
     this.root.classList.toggle("in-contact", header?.contact ?? false);
     this.root.classList.toggle("is-paused", header?.paused ?? false);
-    this.root.classList.toggle("is-slow", header !== null && !header.paused && header.realTimeFactor < 0.95);
+    this.root.classList.toggle("is-slow", header !== null && !header.paused && header.realTimeFactor < 0.95 * speed);
   }
 
   /** Draws the haptic loop's histogram when there is news. */

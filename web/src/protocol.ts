@@ -143,6 +143,7 @@ export type ClientMessage =
     }
   | { readonly type: "pause"; readonly paused: boolean }
   | { readonly type: "single_step" }
+  | { readonly type: "speed"; readonly factor: number }
   | { readonly type: "reset" }
   | { readonly type: "cut"; readonly tool: number }
   | { readonly type: "clip"; readonly tool: number }

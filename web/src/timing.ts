@@ -1,5 +1,6 @@
 /** What the server tells about its loops, and about who controls. */
 import { text } from "./language";
+import { SlowMotion } from "./slow_motion";
 import { rumble, type Feel } from "./feel";
 import { fail, fieldsOf, numberAt, stringAt, type Fields } from "./fields";
 
@@ -56,6 +57,8 @@ export interface Timing {
   readonly left_out_s: number;
   /** How thoroughly steps are computed: full, reduced or least. */
   readonly effort: string;
+  /** Simulated seconds in a second that were asked for. */
+  readonly speed: number;
   readonly steps: StepTiming;
   /** Null without a force-feedback device at this machine. */
   readonly haptics: HapticTiming | null;
@@ -75,6 +78,7 @@ export function decodeTiming(fields: Fields): Timing {
     times_given_up: numberAt(simulation, "times_given_up", "timing.simulation", 0),
     left_out_s: numberAt(simulation, "left_out_s", "timing.simulation", 0),
     effort: stringAt(simulation, "effort", "timing.simulation"),
+    speed: simulation.speed === undefined ? 1 : numberAt(simulation, "speed", "timing.simulation", 0.01),
     steps: decodeSteps(simulation),
     haptics: fields.haptics === null ? null : decodeHaptics(fieldsOf(fields.haptics, "timing.haptics")),
     haptics_at: decodePlace(stringAt(fields, "haptics_at", "timing")),
@@ -207,6 +211,7 @@ export function timingLines(timing: Timing | null): string[] {
 /** The newest of each. */
 export class LoopNews {
   role: Role | null = null;
+  readonly slowMotion = new SlowMotion();
   timing: Timing | null = null;
   /** Null where no page is a device. */
   feel: Feel | null = null;
@@ -218,6 +223,7 @@ export class LoopNews {
     },
     timing: (timing: Timing): void => {
       this.timing = timing;
+      this.slowMotion.hear(timing);
       this.changed();
     },
     feel: (feel: Feel): void => {

@@ -183,6 +183,7 @@ export class Viewer {
   }
 
   private resize(): void {
+    this.looks.layOut();
     const [panel, toolbar, task] = [this.page.panel, this.page.toolbar, this.page.task].map((part) => part.getBoundingClientRect());
     // On a narrow page the panel is above the organ instead of beside it.
     if (panel.width < 0.6 * window.innerWidth) this.scene.setCovered(panel.right);
@@ -216,6 +217,9 @@ export class Viewer {
       case "refine":
       case "undo":
         this.connection.send(messageOf(action, this.header?.paused, this.hands.chosen));
+        break;
+      case "slow_motion":
+        this.connection.send({ type: "speed", factor: this.news.slowMotion.next() });
         break;
       case "jaws":
       case "trigger":
@@ -300,7 +304,7 @@ export class Viewer {
 
   private refreshSwitches(): void {
     const leaving = this.hello?.can_leave === true ? (this.leaving.isAsked(performance.now()) ? "asked" : "offered") : null;
-    this.toolbar.show(this.header?.paused ?? false, this.help.open, this.looks.shown, this.theatre, leaving);
+    this.toolbar.show(this.header?.paused ?? false, this.help.open, this.looks.shown, this.theatre, leaving, this.news.slowMotion.speed);
   }
 
   private invalidate(): void {
@@ -315,7 +319,7 @@ export class Viewer {
     const dt_s = Math.min(0.1, Math.max(0, (now_ms - (this.lastFrame_ms ?? now_ms)) / 1000));
     this.lastFrame_ms = now_ms;
 
-    for (const { tool, pose } of this.hands.advance(dt_s, (tool) => this.scene.pose(tool))) {
+    for (const { tool, pose } of this.hands.advance(dt_s * this.news.slowMotion.speed, (tool) => this.scene.pose(tool))) {
       if (this.connection.send(this.hands.message(tool, pose, this.header))) this.counters.sentToolMessages += 1;
     }
     this.showWaiting();
@@ -374,7 +378,7 @@ export class Viewer {
 
   private showPanel(): void {
     const { hello, header, history, hands, news } = this;
-    this.panel.show(panelValues(hello, header, history.peak_n, arrowScale_m_per_n(history.peak_n), hands.chosen, news), header);
+    this.panel.show(panelValues(hello, header, history.peak_n, arrowScale_m_per_n(history.peak_n), hands.chosen, news), header, news.slowMotion.speed);
     this.panel.showJitter(news.timing?.haptics ?? null);
   }
 

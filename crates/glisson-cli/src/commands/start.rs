@@ -4,6 +4,7 @@ use super::patient::free_folder;
 use super::serve::{Address, serve_until};
 use super::task;
 use anyhow::Context;
+use glisson::progress::tell;
 use glisson_runtime::script::PathScript;
 use glisson_runtime::{OpenScene, Simulation};
 use glisson_view::patient::{self, PatientPage};
@@ -103,9 +104,23 @@ impl Opener {
         std::fs::create_dir_all(&self.out)
             .with_context(|| format!("{}: cannot make the folder for sessions", self.out.display()))?;
         let session = free_session(&self.out, name);
+        let mut unwanted = Unwanted(Some(session.with_extension("jsonl.partial")));
         let simulation = Simulation::open(source, Some(&session))?;
+        // Where it was cancelled meanwhile, this does not come back.
+        tell(1.0);
+        unwanted.0 = None;
         println!("session: {}", session.display());
         Ok(simulation)
+    }
+}
+
+/// A session that nobody wants any more when what it is of was cancelled.
+struct Unwanted(Option<PathBuf>);
+
+impl Drop for Unwanted {
+    fn drop(&mut self) {
+        // Mostly it was not begun yet.
+        self.0.iter().for_each(|partial| drop(std::fs::remove_file(partial)));
     }
 }
 

@@ -204,6 +204,7 @@ pub(super) fn timing(published: &Published, at: HapticsAt, haptics: Option<&Hapt
     simulation["times_given_up"] = json!(lateness.n_given_up);
     simulation["left_out_s"] = json!(lateness.left_out_s);
     simulation["effort"] = json!(effort.name());
+    simulation["speed"] = json!(pace.slow_motion.unwrap_or(1.0));
     json!({
         "type": "timing",
         "simulation": simulation,
@@ -247,6 +248,9 @@ enum ViewerMessage {
     Pause {
         paused: bool,
     },
+    Speed {
+        factor: f64,
+    },
     SingleStep {},
     Reset {},
     Model {
@@ -281,6 +285,9 @@ const FURTHEST_TIP_M: f64 = 100.0;
 /// Ten times that of the Earth: more is a mistyped number.
 const STRONGEST_GRAVITY_M_PER_S2: f64 = 100.0;
 
+/// Slower than this nothing seems to move: a choice.
+const SLOWEST: f64 = 0.05;
+
 /// What a viewer asks for, or why it cannot be understood.
 pub(super) fn wish(text: &str) -> Result<Wish, String> {
     let message: ViewerMessage =
@@ -304,6 +311,10 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
             Command::Tool { tool, pose: ToolInput { roll_rad, jaw_opening: jaw, trigger, ..pose } }
         }
         ViewerMessage::Pause { paused } => Command::Pause(paused),
+        ViewerMessage::Speed { factor } if (SLOWEST..=1.0).contains(&factor) => Command::Speed(factor),
+        ViewerMessage::Speed { factor } => {
+            return Err(format!("\"factor\" is {factor}; allowed: between {SLOWEST} and 1"));
+        }
         ViewerMessage::SingleStep {} => Command::SingleStep,
         ViewerMessage::Reset {} => Command::Reset,
         ViewerMessage::Model { name } => {
@@ -412,6 +423,8 @@ mod tests {
         assert_eq!(command(r#"{"type":"refine","tool":1}"#), Ok(Command::Refine { tool: 1 }));
         assert_eq!(command(r#"{"type":"undo"}"#), Ok(Command::Undo));
         assert_eq!(wish(r#"{"type":"contacts","shown":true}"#), Ok(Wish::Contacts(true)));
+        assert_eq!(wish(r#"{"type":"leave"}"#), Ok(Wish::Leave));
+        assert_eq!(command(r#"{"type":"speed","factor":0.25}"#), Ok(Command::Speed(0.25)));
         let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
         assert_eq!(tilted, Ok(Command::Gravity(DVec3::new(0.0, 9.81, 0.0))));
         for bad in [
@@ -425,6 +438,9 @@ mod tests {
             r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,1],"jaw":2}"#,
             r#"{"type":"model","name":"jelly"}"#,
             r#"{"type":"contacts"}"#,
+            r#"{"type":"speed","factor":0}"#,
+            r#"{"type":"speed","factor":2}"#,
+            r#"{"type":"leave","now":true}"#,
             r#"{"type":"gravity","m_per_s2":[0,981,0]}"#,
         ] {
             assert!(command(bad).is_err(), "{bad}");

@@ -145,7 +145,7 @@ mod tests {
     use super::*;
 
     const SCENE: &str = "glisson_scene = 1\nname = \"a block\"\n[organ]\nbox = { min = [0, 0, 0], max = [\"1 cm\", \"1 cm\", \"1 cm\"] }\n\
-        edge = \"5 mm\"\ntissue = \"liver\"\n[[organ.fixed]]\nfurthest = { direction = [0, 1, 0], fraction = 0.2 }\n\
+        edge = \"5 mm\"\ntissue = \"liver\"\nmodel = \"precomputed\"\n[[organ.fixed]]\nfurthest = { direction = [0, 1, 0], fraction = 0.2 }\n\
         [tool]\ntip_radius = \"5 mm\"\nhome_tip = [0, 0, \"9 cm\"]\nhome_shaft = [0, 0, 1]\n";
 
     fn write(folder: &Path, file: &str, text: &str) {

@@ -16,6 +16,22 @@ if (program === undefined) console.warn("SKIPPED e2e/start.e2e.ts: GLISSON_PROGR
 
 /** Organs are made in seconds; a busy machine takes longer. */
 const MAKING_MS = 90_000;
+const BLOCK = `glisson_scene = 1
+name = "a block"
+[simulation]
+time_step = "4 ms"
+[organ]
+box = { min = ["-5 cm", "0 cm", "-5 cm"], max = ["5 cm", "4 cm", "5 cm"] }
+edge = "15 mm"
+tissue = "liver"
+model = "precomputed"
+[[organ.fixed]]
+furthest = { direction = [0, 1, 0], fraction = 0.2 }
+[tool]
+tip_radius = "5 mm"
+home_tip = [0, "-40 mm", 0]
+home_shaft = [0, -1, 0]
+`;
 const BAD_SCENE = "glisson_scene = 1\n[organ]\ntisue = \"liver\"\n";
 
 /** The program in a folder of its own; its address when it answers. */
@@ -153,6 +169,27 @@ describe.skipIf(program === undefined)("the start page", () => {
     await page.waitForFunction(() => window.glisson!.messages.some((words) => words.includes("real time")));
     await goBack();
     expect(problems.splice(0).filter((problem) => !problem.includes("real time"))).toEqual([]);
+    expect(problems).toEqual([]);
+  });
+
+  it("starts a scene of the folder, in which time passes slowly when it is asked to", { timeout: 2 * MAKING_MS }, async () => {
+    writeFileSync(join(folder, "block.toml"), BLOCK);
+    await page.getByRole("button", { name: "Look again" }).click();
+    await page.getByRole("button", { name: "Start: a block, block.toml" }).click();
+    await waitForOrgan(page);
+    const until = (what: () => boolean) => page.waitForFunction(what, undefined, { timeout: 30_000 });
+    await page.keyboard.press("<");
+    await page.getByRole("button", { name: "Slow 0.5 ×" }).click();
+    await until(() => window.glisson!.panel.real_time_factor.includes("slow motion") && window.glisson!.header!.realTimeFactor < 0.3 && window.glisson!.header!.realTimeFactor > 0.1);
+    // The hand follows as slowly, and never jumps.
+    await page.keyboard.press("g");
+    await until(() => window.glisson!.header!.contact && window.glisson!.tool.settled);
+    await page.keyboard.press("<");
+    await page.keyboard.press("<");
+    await until(() => window.glisson!.header!.realTimeFactor > 0.5);
+    expect(await page.locator("#toolbar").getByRole("button", { name: "Slow" }).getAttribute("aria-pressed")).toBe("false");
+    await goBack();
+    expect(sessions()).toEqual(["block.jsonl"]);
     expect(problems).toEqual([]);
   });
 

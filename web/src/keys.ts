@@ -140,6 +140,12 @@ export interface KeyPress {
   readonly repeat: boolean;
 }
 
+/** Whether a key press is for the part of the page that has the focus: it presses a button, or chooses from a list. */
+export function isForPart({ target, key }: Pick<KeyboardEvent, "target" | "key">): boolean {
+  if (target instanceof HTMLSelectElement) return key !== "Escape";
+  return target instanceof HTMLButtonElement && (key === " " || key === "Enter");
+}
+
 /** The viewer's action of a key press, or null. */
 export function actionOf(press: KeyPress): Action | null {
   return actionIn(press, BINDINGS);

@@ -31,7 +31,6 @@ export const EN = {
   start_refused: "Not started: {why}",
   language: "Language",
   research: "Research software: not for use on patients.",
-  no_script: "This page needs JavaScript.",
 
   // the viewer's page
   scene_label: "The organ and the instrument",

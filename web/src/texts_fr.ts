@@ -32,7 +32,6 @@ export const FR: Readonly<Record<TextKey, string>> = {
   start_refused: "Impossible de commencer : {why}",
   language: "Langue",
   research: "Logiciel de recherche : ne pas utiliser pour soigner des patients.",
-  no_script: "Cette page a besoin de JavaScript.",
 
   scene_label: "L'organe et l'instrument",
   panel_label: "Mesures",

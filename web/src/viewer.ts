@@ -5,7 +5,7 @@ import { Controls } from "./controls";
 import { HandMotion } from "./hand_motion";
 import { Hands } from "./hands";
 import { newCounters, type ViewerParts } from "./hook";
-import { actionOf, rollOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
+import { actionOf, isForPart, rollOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
 import { text } from "./language";
 import { goesElsewhere, Leaving } from "./leaving";
 import { Looks } from "./looks";
@@ -194,8 +194,7 @@ export class Viewer {
   }
 
   private key(event: KeyboardEvent): void {
-    const onButton = event.target instanceof HTMLButtonElement && (event.key === " " || event.key === "Enter");
-    const action = onButton ? null : actionOf(event);
+    const action = isForPart(event) ? null : actionOf(event);
     if (action === null) return;
     event.preventDefault();
     this.run(action, event.shiftKey);

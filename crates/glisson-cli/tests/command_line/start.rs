@@ -110,7 +110,7 @@ impl Drop for Program {
 fn what_is_chosen_is_served_and_recorded_and_then_the_page_comes_again() {
     let folder = tempfile::tempdir().unwrap();
     small_scene(folder.path());
-    std::fs::write(folder.path().join("bad.toml"), SCENE.replace("density", "densty")).unwrap();
+    std::fs::write(folder.path().join("bad.toml"), SCENE.replace("poisson_ratio", "poisson_rato")).unwrap();
     std::fs::write(folder.path().join("gone.toml"), SCENE.replace("body.tet", "gone.tet")).unwrap();
     let program = Program::start(folder.path(), &[]);
     program.when_at("start");
@@ -123,7 +123,7 @@ fn what_is_chosen_is_served_and_recorded_and_then_the_page_comes_again() {
     };
     assert!(names("tasks", "name").contains(&"palpation".to_owned()));
     assert_eq!(names("scenes", "file"), ["bad.toml", "gone.toml", "scene.toml"]);
-    assert!(offers["scenes"][0]["error"].as_str().unwrap().contains("did you mean \"density\"?"));
+    assert!(offers["scenes"][0]["error"].as_str().unwrap().contains("did you mean \"poisson_ratio\""));
 
     // What cannot be made is told, and something else can be.
     assert_eq!(program.begin("scene", &json!({"file": "gone.toml"})), 202);

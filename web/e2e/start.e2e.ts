@@ -226,7 +226,12 @@ describe.skipIf(program === undefined)("the start page", () => {
     );
     await page.getByRole("button", { name: "Look again" }).click();
     await page.locator("#scenes li", { hasText: "without its mesh" }).getByRole("button", { name: "Start" }).click();
-    await page.locator("#error").filter({ hasText: "gone.tet" }).waitFor();
+    const error = page.locator("#error").filter({ hasText: "gone.tet" });
+    await error.waitFor();
+    // Where the button was, down the page.
+    const box = (await error.boundingBox())!;
+    expect(await page.evaluate(() => window.scrollY)).toBeGreaterThan(100);
+    expect(box.y >= 0 && box.y + box.height <= 800).toBe(true);
     await page.screenshot({ path: resultFile("start-error.png") });
     expect(await page.getByRole("button", { name: "Bring in a patient" }).isEnabled()).toBe(true);
     // It is understood again at once.

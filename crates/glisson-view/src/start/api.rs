@@ -62,7 +62,10 @@ struct Nothing {}
 async fn offers(State(shared): State<Arc<Shared>>) -> Response {
     let for_list = Arc::clone(&shared);
     let listed = tokio::task::spawn_blocking(move || listing::scenes(&for_list.folders)).await;
-    let folders: Vec<String> = shared.folders.iter().map(|folder| folder.display().to_string()).collect();
+    // A dot says nothing.
+    let whole = |folder: &PathBuf| std::fs::canonicalize(folder).unwrap_or_else(|_| folder.clone());
+    let folders: Vec<String> =
+        shared.folders.iter().map(|folder| whole(folder).display().to_string()).collect();
     match listed {
         Ok(list) => Json(json!({ "tasks": shared.tasks, "scenes": list.scenes, "is_cut": list.is_cut, "folders": folders }))
             .into_response(),

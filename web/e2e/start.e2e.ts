@@ -120,6 +120,9 @@ describe.skipIf(program === undefined)("the start page", () => {
     await page.locator('#tasks li[data-task="camera_navigation"]').getByRole("button", { name: /^Watch/ }).click();
     await waitForOrgan(page);
     await waitForOrgan(other.page);
+    // Who started it has the instruments.
+    await page.waitForFunction(() => window.glisson!.panel.control === "this page");
+    await other.page.waitForFunction(() => window.glisson!.panel.control === "another");
     await page.waitForFunction(() => window.glisson!.theatre.on, undefined, { timeout: 30_000 });
     for (const { width, height } of SIZES) {
       await page.setViewportSize({ width, height });

@@ -16,6 +16,11 @@ function part<T extends HTMLElement = HTMLElement>(id: string): T {
   return node as T;
 }
 
+/** Who comes first has control of the instruments: pages that did not start it leave the one that did so long [ms]. */
+const OTHERS_WAIT_MS = 3000;
+
+/** What is being started was asked for here. */
+let isOurs = false;
 /** What this page was refused, until it asks for something else. */
 let refused: string | null = null;
 let timer: number | undefined;
@@ -45,13 +50,15 @@ async function ask(): Promise<void> {
   clearTimeout(timer);
   const now = await fetchServed();
   if (now !== null && now.page !== "start") {
-    openServed();
+    showMaking(null, text("start_opening"));
+    window.setTimeout(openServed, isOurs ? 0 : OTHERS_WAIT_MS);
     return;
   }
   if (now === null) showMaking(null, text("start_lost"));
   else {
     showMaking(now.job, now.is_ready ? text("start_opening") : null);
     showProblem(now.error);
+    if (now.job === null && !now.is_ready) isOurs = false;
   }
   const isBusy = now === null || now.job !== null || now.is_ready;
   timer = window.setTimeout(() => void ask(), isBusy ? ASK_BUSY_MS : ASK_IDLE_MS);
@@ -61,6 +68,7 @@ async function choose(what: "task" | "scene" | "patient" | "cancel", choice: obj
   refused = null;
   try {
     await begin(what, choice);
+    isOurs = what !== "cancel";
   } catch (error) {
     refused = error instanceof Error ? error.message : String(error);
   }

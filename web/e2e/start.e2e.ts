@@ -190,7 +190,7 @@ describe.skipIf(program === undefined)("the start page", () => {
     await page.keyboard.press("<");
     await page.keyboard.press("<");
     await until(() => window.glisson!.header!.realTimeFactor > 0.5);
-    expect(await page.locator("#toolbar").getByRole("button", { name: "Slow" }).getAttribute("aria-pressed")).toBe("false");
+    await page.locator('#toolbar button[data-action="slow_motion"][aria-pressed="false"]').waitFor();
     await goBack();
     expect(sessions()).toEqual(["block.jsonl"]);
     expect(problems).toEqual([]);

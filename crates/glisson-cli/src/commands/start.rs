@@ -103,13 +103,13 @@ impl Opener {
     fn record(&self, source: OpenScene, name: &str) -> anyhow::Result<Simulation> {
         std::fs::create_dir_all(&self.out)
             .with_context(|| format!("{}: cannot make the folder for sessions", self.out.display()))?;
-        let session = free_session(&self.out, name);
+        let (session, folder) = (free_session(&self.out, name), source.folder.clone());
         let mut unwanted = Unwanted(Some(session.with_extension("jsonl.partial")));
         let simulation = Simulation::open(source, Some(&session))?;
         // Where it was cancelled meanwhile, this does not come back.
         tell(1.0);
         unwanted.0 = None;
-        println!("session: {}", session.display());
+        println!("session: glisson replay {} --folder {}", session.display(), folder.display());
         Ok(simulation)
     }
 }

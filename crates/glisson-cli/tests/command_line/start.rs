@@ -140,11 +140,12 @@ fn what_is_chosen_is_served_and_recorded_and_then_the_page_comes_again() {
     assert_eq!(program.begin("task", &json!({"name": "palpation", "demonstrate": true})), 202);
     program.when_at("viewer");
     let text = program.interrupt();
+    assert!(text.contains("glisson replay out/sessions/scene-2.jsonl --folder ."), "{text}");
     assert!(text.contains("left; state hash") && text.contains("stopped; state hash"), "{text}");
 
     let sessions = folder.path().join("out/sessions");
     assert_eq!(files(&sessions), ["palpation.jsonl", "scene-2.jsonl", "scene.jsonl"]);
-    let replay = super::glisson(folder.path(), &["replay", "out/sessions/scene-2.jsonl"]);
+    let replay = super::glisson(folder.path(), &["replay", "out/sessions/scene-2.jsonl", "--folder", "."]);
     let replay = String::from_utf8_lossy(&replay.stdout).into_owned();
     assert!(replay.contains("same bits"), "{replay}");
 }

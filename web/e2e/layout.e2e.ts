@@ -19,6 +19,8 @@ const STATUS = {
   began_s: 0,
   ended_s: null,
   time_limit_s: 240,
+  is_dark: false,
+  events: [{ title: "The light fails", came_s: null }],
   outcome: null,
 };
 const MESSAGE = "the simulation keeps pace again: it computes with full effort, and says so in words that take several lines";

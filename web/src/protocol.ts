@@ -149,6 +149,7 @@ export type ClientMessage =
   | { readonly type: "clip"; readonly tool: number }
   | { readonly type: "refine"; readonly tool: number }
   | { readonly type: "undo" }
+  | { readonly type: "task_event"; readonly number: number }
   | { readonly type: "leave" }
   | { readonly type: "contacts"; readonly shown: boolean }
   | { readonly type: "gravity"; readonly m_per_s2: Vec3 }

@@ -161,6 +161,8 @@ export const EN = {
   task_mistakes: "{mistake} ({n} mistakes)",
   task_progress: "How far the task is",
   task_report: "Look at the report",
+  task_events: "Events (for who teaches)",
+  task_event_came: "{title}: came after {time} s",
 
   // buttons
   button_pause: "Pause",

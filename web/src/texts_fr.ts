@@ -159,6 +159,8 @@ export const FR: Readonly<Record<TextKey, string>> = {
   task_mistakes: "{mistake} ({n} erreurs)",
   task_progress: "Avancement de l'exercice",
   task_report: "Voir le compte rendu",
+  task_events: "Incidents (pour l'enseignant)",
+  task_event_came: "{title} : survenu après {time} s",
 
   button_pause: "Pause",
   button_go_on: "Reprendre",

@@ -68,7 +68,7 @@ export class Viewer {
     this.help = new Help(document.body);
     this.bodies = new BodyList(page.bodies, (hidden) => { this.scene.hide(hidden); this.redraw(); });
     this.contacts = new Contacts(page.contacts, this.scene.contactMarks);
-    this.task = new TaskPanel(page.task);
+    this.task = new TaskPanel(page.task, (number) => this.connection.send({ type: "task_event", number }));
     this.toolbar = new Toolbar(page.toolbar, (action) => this.run(action, false));
     this.theatre = new Theatre(this.scene, page);
     this.motion = new HandMotion(this.scene, this.hands, this.theatre, page, this.messages, {
@@ -92,6 +92,7 @@ export class Viewer {
       ...this.news.events,
       task: ({ status }) => {
         if (this.task.show(status) && !this.theatre.on) this.turnTheatre(true);
+        if (this.theatre.setDark(status?.is_dark ?? false)) this.redraw();
         if (this.scene.taskMarks.show(status?.mark ?? null, this.scene.organs.get(0)?.positions_m ?? null)) this.redraw();
       },
       error: (message) => this.messages.error(message),

@@ -61,6 +61,7 @@ export class Theatre implements OtherView {
   /** Number of the endoscope; null for a scene without. */
   endoscope: number | null = null;
   smear = 0;
+  private isDark = false;
   private metered_m = FURTHEST_EXPOSED_M;
   /** Whether the picture from outside is beside that of the endoscope. */
   outside = true;
@@ -169,6 +170,13 @@ export class Theatre implements OtherView {
     if (isAtLens) this.smear = 1;
   }
 
+  /** The lamp is out, or shines; answers whether that is new. */
+  setDark(isDark: boolean): boolean {
+    const isNew = isDark !== this.isDark;
+    this.isDark = isDark;
+    return isNew;
+  }
+
   /** Angle of the picture that a pixel covers [rad]. */
   get pixel_rad(): number {
     return (this.eye?.field_of_view_rad ?? 1) / (2 * this.circle.radius);
@@ -209,7 +217,10 @@ export class Theatre implements OtherView {
     this.seenByEndoscope(true);
     renderer.setRenderTarget(this.lens.target);
     renderer.setClearColor(DEEP_RED, 1);
-    inLampLight(scene, () => renderer.render(scene, this.camera));
+    // Nothing but the lamp shines inside.
+    if (this.isDark) renderer.setClearColor(0x000000, 1);
+    if (this.isDark) renderer.clear();
+    else inLampLight(scene, () => renderer.render(scene, this.camera));
     renderer.setRenderTarget(null);
     this.seenByEndoscope(false);
     this.lens.draw(renderer, this.circle, this.scene.height, this.smear);

@@ -11,8 +11,8 @@ export default defineConfig({
     emptyOutDir: true,
     target: "es2022",
     chunkSizeWarningLimit: 900,
-    // The viewer, and the page for a new patient.
-    rolldownOptions: { input: ["index.html", "patient.html"] },
+    // The viewer, the page for a new patient, and the one that leads to both.
+    rolldownOptions: { input: ["index.html", "patient.html", "start.html"] },
     // The notices that the bundled packages ask for.
     license: { fileName: "licenses.md" },
   },

@@ -200,6 +200,7 @@ export class FakeSimulator {
       ],
       models: ["closed-form dimple (test)"],
       fixed_nodes: fixedNodes,
+      can_leave: false,
     };
   }
 

@@ -1,4 +1,5 @@
 /** The list of a scene's bodies: each can be hidden and shown, by pointer or keyboard. */
+import { text } from "./language";
 import type { BodyInfo } from "./protocol";
 
 export class BodyList {
@@ -10,7 +11,7 @@ export class BodyList {
     private readonly changed: (hidden: ReadonlySet<number>) => void,
   ) {
     root.setAttribute("role", "group");
-    root.setAttribute("aria-label", "Bodies");
+    root.setAttribute("aria-label", text("bodies_label"));
     root.hidden = true;
   }
 
@@ -27,7 +28,7 @@ export class BodyList {
     const button = document.createElement("button");
     button.type = "button";
     button.textContent = name;
-    button.title = `${is_rigid ? "rigid" : "deforms"}, ${n_tetrahedra} tetrahedra: hide or show it`;
+    button.title = text(is_rigid ? "body_rigid" : "body_soft", { n: n_tetrahedra });
     if (color !== null) button.style.borderLeft = `0.5em solid ${color}`;
     button.addEventListener("click", (event) => {
       this.toggle(number);

@@ -10,6 +10,7 @@ import {
   type Topology,
 } from "./protocol";
 import type { Feel } from "./feel";
+import { text } from "./language";
 import type { TaskNews } from "./task";
 import type { Role, Timing } from "./timing";
 
@@ -73,9 +74,11 @@ export class Connection {
   private socket: WebSocket | null = null;
   private attempt = 0;
 
+  /** `elsewhere`: whether a lost connection is not to be made again, because another page is served here; null: ask again. */
   constructor(
     private readonly address: string,
     private readonly events: ConnectionEvents,
+    private readonly elsewhere: () => Promise<boolean | null> = async () => false,
   ) {}
 
   open(): void {
@@ -90,10 +93,20 @@ export class Connection {
     socket.onmessage = (event: MessageEvent<unknown>) => this.receive(event.data);
     socket.onclose = () => {
       this.socket = null;
-      this.attempt += 1;
-      this.events.state("lost", this.attempt);
-      setTimeout(() => this.open(), reconnectDelay_ms(this.attempt));
+      this.lose();
     };
+  }
+
+  private lose(): void {
+    this.attempt += 1;
+    this.events.state("lost", this.attempt);
+    setTimeout(() => void this.tryAgain(), reconnectDelay_ms(this.attempt));
+  }
+
+  private async tryAgain(): Promise<void> {
+    const elsewhere = await this.elsewhere();
+    if (elsewhere === null) this.lose();
+    else if (!elsewhere) this.open();
   }
 
   /** Asks for the model after the one that moves the organ now; nothing to do where there is only one. */
@@ -120,7 +133,7 @@ export class Connection {
         else if (message.type === "feel") this.events.feel(message);
         else if (message.type === "task") this.events.task(message);
         else if (message.type === "news") this.events.notice(message.message);
-        else this.events.error(`Server: ${message.message}`);
+        else this.events.error(text("server_says", { message: message.message }));
       } else if (data instanceof ArrayBuffer) {
         const message = decodeBinary(data);
         if (message.kind === "topology") this.events.topology(message);
@@ -128,7 +141,7 @@ export class Connection {
       }
     } catch (error) {
       if (!(error instanceof ProtocolError)) throw error;
-      this.events.error(`Message not understood: ${error.message}`);
+      this.events.error(text("not_understood", { message: error.message }));
     }
   }
 }

@@ -1,17 +1,10 @@
 /** Key C: contact points are asked for, shown in the picture and counted in a legend. Nothing is sent while they are not shown. */
 import type { Connection } from "./connection";
 import { KIND_COLOURS, type ContactMarks } from "./contact_marks";
-import { CONTACT_KINDS, leftOut, type ContactKind, type ContactPoints } from "./contact_points";
+import { CONTACT_KINDS, leftOut, type ContactPoints } from "./contact_points";
+import { text } from "./language";
 import { forceText, lengthOf } from "./panel";
 import { niceCeiling } from "./plot";
-
-const LABELS: Readonly<Record<ContactKind, string>> = {
-  tool_organ: "instrument, tissue",
-  tool_rigid: "instrument, rigid body",
-  bodies: "two bodies",
-  itself: "a body, itself",
-  tool_tool: "two instruments",
-};
 
 /** The longest arrow, as a share of the distance of the eye. */
 const LONGEST_ARROW = 0.18;
@@ -28,7 +21,7 @@ export function contactArrowScale_m_per_n(largest_n: number, longest_m: number):
 
 function row(colour: string, label: string, n: string, force: string): HTMLElement {
   const line = document.createElement("tr");
-  const cells = ["", label, n, force].map((text) => Object.assign(document.createElement("td"), { textContent: text }));
+  const cells = ["", label, n, force].map((words) => Object.assign(document.createElement("td"), { textContent: words }));
   const dot = Object.assign(document.createElement("span"), { className: "contact-dot" });
   dot.style.background = colour;
   cells[0].append(dot);
@@ -41,13 +34,13 @@ export class Contacts {
   private points: ContactPoints | null = null;
   /** Greatest force, which fades: arrows grow shorter at once when forces grow, and longer again some seconds later. */
   private largest_n = 0;
-  private text = "";
+  private state = "";
 
   constructor(
     private readonly legend: HTMLElement,
     private readonly marks: ContactMarks,
   ) {
-    legend.setAttribute("aria-label", "Contacts");
+    legend.setAttribute("aria-label", text("contacts_title"));
   }
 
   /** Key C. */
@@ -84,24 +77,24 @@ export class Contacts {
     this.legend.hidden = !this.shown;
     if (!this.shown) return;
     const { points } = this;
-    const text = JSON.stringify([points?.sums, points?.points.length, scale_m_per_n]);
-    if (text === this.text) return;
-    this.text = text;
-    const title = Object.assign(document.createElement("h2"), { textContent: "Contacts" });
+    const state = JSON.stringify([points?.sums, points?.points.length, scale_m_per_n]);
+    if (state === this.state) return;
+    this.state = state;
+    const title = Object.assign(document.createElement("h2"), { textContent: text("contacts_title") });
     const table = document.createElement("table");
     CONTACT_KINDS.forEach((kind, i) => {
       const sum = points?.sums[i];
       if (sum === undefined || sum.n === 0) return;
-      const line = row(KIND_COLOURS[kind], LABELS[kind], String(sum.n), forceText(sum.force_n));
+      const line = row(KIND_COLOURS[kind], text(`contacts_${kind}`), String(sum.n), forceText(sum.force_n));
       line.dataset.kind = kind;
-      line.title = "How many bear a force, and the sum of the sizes of their forces";
+      line.title = text("contacts_row_about");
       table.append(line);
     });
-    const notes = [points === null ? "waiting for the simulator" : points.points.length === 0 ? "nothing bears a force" : ""];
+    const notes = [points === null ? text("contacts_waiting") : points.points.length === 0 ? text("contacts_none") : ""];
     if (points !== null && points.points.length > 0) {
-      notes[0] = `arrow of 10 mm: ${forceText(0.01 / scale_m_per_n)}; white: normal`;
+      notes[0] = text("contacts_scale", { force: forceText(0.01 / scale_m_per_n) });
       const n = leftOut(points);
-      if (n > 0) notes.push(`the ${points.points.length} greatest are shown, ${n} are not`);
+      if (n > 0) notes.push(text("contacts_left_out", { n: points.points.length, m: n }));
     }
     const foot = notes.map((note) => Object.assign(document.createElement("div"), { className: "contact-note", textContent: note }));
     this.legend.replaceChildren(title, table, ...foot);

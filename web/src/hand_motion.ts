@@ -2,6 +2,7 @@
 import { Vector3 } from "three";
 import type { PushStart } from "./drag";
 import type { Hands } from "./hands";
+import { text } from "./language";
 import { panned, turned, zoomed, type Orbit } from "./orbit";
 import type { Messages } from "./overlays";
 import type { Page } from "./page";
@@ -90,7 +91,7 @@ export class HandMotion {
     if (this.hands.driver.pushing) return;
     const start = this.pushStart(...this.scene.middle());
     if (start !== null) this.hands.driver.place(start);
-    else this.messages.error("Nothing of the organ is at the middle of the view: reset the view (R) and try again.");
+    else this.messages.error(text("nothing_in_middle"));
   }
 
   /** What a push at a place of the canvas needs to know; null beside the organ. */

@@ -1,5 +1,6 @@
 /** What this page asks of the instruments: one hand for each, one of them moved by the pointer and the keys. */
 import type { ToolPose } from "./drag";
+import { text } from "./language";
 import type { Messages } from "./overlays";
 import type { ClientMessage, Hello, SnapshotHeader, Vec3 } from "./protocol";
 import { ToolDriver } from "./tool_driver";
@@ -72,7 +73,7 @@ export class Hands {
   choose(tool: number, messages: Messages): boolean {
     const { length } = this.hands;
     if (tool < length) this.chosen = tool;
-    else messages.error(`There is no instrument ${tool + 1}: this scene has ${length}.`);
+    else messages.error(text("no_instrument", { n: tool + 1, m: length }));
     return tool < length;
   }
 

@@ -55,6 +55,8 @@ export interface ViewerHook {
     readonly fixedNodes: boolean;
     readonly help: boolean;
     readonly profiler: boolean;
+    readonly panel: boolean;
+    readonly plot: boolean;
     readonly azimuth_rad: number;
     readonly elevation_rad: number;
     readonly distance_m: number;

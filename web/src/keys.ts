@@ -1,8 +1,10 @@
 /** Which key does what: one table for the keyboard, the buttons and the help page. */
+import { keysIn, LANGUAGE, text } from "./language";
 
 export type Action =
   | "pause"
   | "single_step"
+  | "slow_motion"
   | "reset_view"
   | "reset_simulation"
   | "next_model"
@@ -16,9 +18,12 @@ export type Action =
   | "theatre"
   | "wipe"
   | "outside"
+  | "panel"
+  | "plot"
   | "screenshot"
   | "profiler"
   | "help"
+  | "start_page"
   | "leave"
   | "tool_place"
   | "tool_left"
@@ -76,45 +81,54 @@ export function bind<A extends string>(
   return { group, action, keys, does, chords, repeats };
 }
 
+/** One of the viewer, in the page's language. */
+function own(group: "simulation" | "view" | "instrument" | "program", action: Action, keys: string, chords: readonly Chord[], repeats = false): Binding {
+  return bind(text(`group_${group}`), action, keysIn(LANGUAGE, keys), text(`key_${action}`), chords, repeats);
+}
+
 export const BINDINGS: readonly Binding[] = [
-  bind("Simulation", "pause", "Space", "pause or go on", plain(" ")),
-  bind("Simulation", "single_step", "→ or .", "one step (while paused)", plain("arrowright", "."), true),
-  bind("Simulation", "reset_simulation", "Shift R", "organ back to rest, instrument home", [{ key: "r", shift: true }]),
-  bind("Simulation", "next_model", "M", "another model takes over within a second", plain("m")),
-  bind("Simulation", "tilt_left", "Shift ←", "table 15° to the patient's left (scenes with gravity)", [{ key: "arrowleft", shift: true }], true),
-  bind("Simulation", "tilt_right", "Shift →", "table 15° to the patient's right", [{ key: "arrowright", shift: true }], true),
-  bind("View", "reset_view", "R or Backspace", "whole organ from the front", plain("r", "backspace")),
-  bind("View", "wireframe", "W", "surface, surface with edges, edges", plain("w")),
-  bind("View", "contacts", "C", "all contacts: points, normals, forces", plain("c")),
-  bind("View", "forces", "F", "force arrow", plain("f")),
-  bind("View", "fixed_nodes", "T", "fixed nodes", plain("t")),
-  bind("View", "bodies", "Y", "hide one body more (of several); after the last all are shown", plain("y")),
-  bind("View", "theatre", "N", "through the endoscope, or the organ from outside", plain("n")),
-  bind("View", "wipe", "D", "wipe the endoscope's lens", plain("d")),
-  bind("View", "outside", "Shift N", "picture from outside, beside that of the endoscope", [{ key: "n", shift: true }]),
-  bind("Instrument", "tool_place", "G", "touch the organ at the middle of the view", plain("g")),
-  bind("Instrument", "tool_left", "J", "left by 1 mm (Shift: 5 mm)", both("j"), true),
-  bind("Instrument", "tool_right", "L", "right by 1 mm", both("l"), true),
-  bind("Instrument", "tool_up", "I", "up by 1 mm", both("i"), true),
-  bind("Instrument", "tool_down", "K", "down by 1 mm", both("k"), true),
-  bind("Instrument", "tool_deeper", "U", "into the screen by 1 mm", both("u"), true),
-  bind("Instrument", "tool_back", "O", "out of the screen by 1 mm", both("o"), true),
-  bind("Instrument", "cut", "X", "cut away what the tip touches", plain("x"), true),
-  bind("Instrument", "clip", "A", "set a clip on the vessel at the tip", plain("a")),
-  bind("Instrument", "refine", "E", "make the mesh finer around the tip", plain("e")),
-  bind("Instrument", "undo", "Z", "take the last cut back", plain("z"), true),
-  bind("Instrument", "jaws", "B", "close or open the jaws", plain("b")),
-  bind("Instrument", "trigger", "V", "current or blade on or off", plain("v")),
-  bind("Instrument", "roll_left", "−", "roll by 5° to the left, as seen from the handle", plain("-"), true),
-  bind("Instrument", "roll_right", "+", "to the right", [...both("+"), { key: "=", shift: false }], true),
-  bind("Instrument", "tool_1", "1", "take the first instrument (of several)", plain("1")),
-  bind("Instrument", "tool_2", "2", "the second", plain("2")),
-  bind("Instrument", "tool_3", "3", "the third", plain("3")),
-  bind("Instrument", "tool_4", "4", "the fourth", plain("4")),
-  bind("Program", "screenshot", "S", "save the picture as PNG", plain("s")),
-  bind("Program", "profiler", "P", "times of a frame and of the simulation", plain("p")),
-  bind("Program", "help", "H or F1", "this page", plain("h", "f1", "?")),
-  bind("Program", "leave", "Esc or Q", "close a page, or take the instrument off the organ", plain("escape", "q")),
+  own("simulation", "pause", "Space", plain(" ")),
+  own("simulation", "single_step", "→ or .", plain("arrowright", "."), true),
+  own("simulation", "slow_motion", "< or ,", [...both("<"), ...plain(",")]),
+  own("simulation", "reset_simulation", "Shift R", [{ key: "r", shift: true }]),
+  own("simulation", "next_model", "M", plain("m")),
+  own("simulation", "tilt_left", "Shift ←", [{ key: "arrowleft", shift: true }], true),
+  own("simulation", "tilt_right", "Shift →", [{ key: "arrowright", shift: true }], true),
+  own("view", "reset_view", "R or Backspace", plain("r", "backspace")),
+  own("view", "wireframe", "W", plain("w")),
+  own("view", "contacts", "C", plain("c")),
+  own("view", "forces", "F", plain("f")),
+  own("view", "fixed_nodes", "T", plain("t")),
+  own("view", "bodies", "Y", plain("y")),
+  own("view", "theatre", "N", plain("n")),
+  own("view", "wipe", "D", plain("d")),
+  own("view", "outside", "Shift N", [{ key: "n", shift: true }]),
+  own("instrument", "tool_place", "G", plain("g")),
+  own("instrument", "tool_left", "J", both("j"), true),
+  own("instrument", "tool_right", "L", both("l"), true),
+  own("instrument", "tool_up", "I", both("i"), true),
+  own("instrument", "tool_down", "K", both("k"), true),
+  own("instrument", "tool_deeper", "U", both("u"), true),
+  own("instrument", "tool_back", "O", both("o"), true),
+  own("instrument", "cut", "X", plain("x"), true),
+  own("instrument", "clip", "A", plain("a")),
+  own("instrument", "refine", "E", plain("e")),
+  own("instrument", "undo", "Z", plain("z"), true),
+  own("instrument", "jaws", "B", plain("b")),
+  own("instrument", "trigger", "V", plain("v")),
+  own("instrument", "roll_left", "−", plain("-"), true),
+  own("instrument", "roll_right", "+", [...both("+"), { key: "=", shift: false }], true),
+  own("instrument", "tool_1", "1", plain("1")),
+  own("instrument", "tool_2", "2", plain("2")),
+  own("instrument", "tool_3", "3", plain("3")),
+  own("instrument", "tool_4", "4", plain("4")),
+  own("program", "panel", "Shift P", [{ key: "p", shift: true }]),
+  own("program", "plot", "Shift F", [{ key: "f", shift: true }]),
+  own("program", "screenshot", "S", plain("s")),
+  own("program", "profiler", "P", plain("p")),
+  own("program", "help", "H or F1", plain("h", "f1", "?")),
+  own("program", "start_page", "Shift Q", [{ key: "q", shift: true }]),
+  own("program", "leave", "Esc or Q", plain("escape", "q")),
 ];
 
 export interface KeyPress {
@@ -124,6 +138,12 @@ export interface KeyPress {
   readonly altKey: boolean;
   readonly metaKey: boolean;
   readonly repeat: boolean;
+}
+
+/** Whether a key press is for the part of the page that has the focus: it presses a button, or chooses from a list. */
+export function isForPart({ target, key }: Pick<KeyboardEvent, "target" | "key">): boolean {
+  if (target instanceof HTMLSelectElement) return key !== "Escape";
+  return target instanceof HTMLButtonElement && (key === " " || key === "Enter");
 }
 
 /** The viewer's action of a key press, or null. */

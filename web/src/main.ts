@@ -2,10 +2,13 @@
 import "./style.css";
 import "./lists.css";
 import "./task.css";
+import "./layout.css";
 import { viewerHook } from "./hook";
+import { text, translatePage } from "./language";
 import { findPage } from "./page";
 import { Viewer } from "./viewer";
 
+translatePage();
 try {
   const viewer = new Viewer(findPage());
   Object.defineProperty(window, "glisson", { value: viewerHook(() => viewer.parts()) });
@@ -15,6 +18,6 @@ try {
   const banner = document.getElementById("banner");
   if (banner !== null) {
     banner.hidden = false;
-    banner.textContent = `The viewer cannot start: ${reason} (it needs a browser with WebGL 2; a GPU is not needed).`;
+    banner.textContent = text("cannot_start", { reason });
   }
 }

@@ -2,23 +2,19 @@
 import { ButtonBar, button, type ButtonGroups } from "./button_bar";
 import type { ConnectionState } from "./connection";
 import { BINDINGS, type Action, type Binding } from "./keys";
+import { languageChoice, text } from "./language";
 import type { Page } from "./page";
 
-function element(name: string, className: string, text = ""): HTMLElement {
+function element(name: string, className: string, words = ""): HTMLElement {
   const node = document.createElement(name);
   node.className = className;
-  node.textContent = text;
+  node.textContent = words;
   return node;
 }
 
-const MOUSE: ReadonlyArray<readonly [string, string]> = [
-  ["Left drag on the organ", "push: presses 5 mm in, then follows the pointer"],
-  ["Wheel while pushing", "deeper and shallower, 1 mm a notch"],
-  ["Left drag beside the organ", "turn the view (Alt + left or right button: anywhere)"],
-  ["Shift + left, or middle", "move the view"],
-  ["Wheel", "zoom"],
-  ["Through the endoscope", "what turns the view pivots the endoscope about its trocar, what moves it rolls it; the wheel pushes it in. With the endoscope in the hand, left drag does so anywhere"],
-];
+const MOUSE: ReadonlyArray<readonly [string, string]> = (["push", "deeper", "turn", "move", "zoom", "endoscope"] as const).map(
+  (what) => [text(`mouse_${what}`), text(`mouse_${what}_does`)],
+);
 
 /** Lines of the help page under their heading. */
 export type HelpGroup = readonly [title: string, lines: ReadonlyArray<readonly [string, string]>];
@@ -32,16 +28,18 @@ export function helpOf(bindings: ReadonlyArray<Binding<string>>): HelpGroup[] {
 export class Help {
   private readonly root: HTMLElement;
 
-  constructor(parent: HTMLElement, groups: readonly HelpGroup[] = [["Mouse", MOUSE], ...helpOf(BINDINGS)]) {
+  constructor(parent: HTMLElement, groups: readonly HelpGroup[] = [[text("group_mouse"), MOUSE], ...helpOf(BINDINGS)]) {
     this.root = element("div", "overlay help");
     this.root.setAttribute("role", "dialog");
-    this.root.setAttribute("aria-label", "Help");
+    this.root.setAttribute("aria-label", text("help_label"));
     this.root.hidden = true;
     const page = element("div", "help-page");
-    page.append(element("h1", "", "Mouse and keys"));
+    page.append(element("h1", "", text("help_title")));
     const columns = element("div", "help-columns");
     for (const [title, lines] of groups) columns.append(this.group(title, lines));
-    page.append(columns, element("p", "help-foot", "Esc closes this page. Research software: not for use on patients."));
+    // A page in one language alone has none to choose.
+    if (document.documentElement.dataset.language === undefined) page.append(languageChoice());
+    page.append(columns, element("p", "help-foot", text("help_foot")));
     this.root.append(page);
     this.root.addEventListener("click", (event) => {
       if (event.target === this.root) this.open = false;
@@ -75,35 +73,35 @@ export class Messages {
 
   constructor(private readonly root: HTMLElement) {}
 
-  error(text: string): void {
-    this.show(text, "error");
+  error(words: string): void {
+    this.show(words, "error");
   }
 
-  notice(text: string): void {
-    this.show(text, "news");
+  notice(words: string): void {
+    this.show(words, "news");
   }
 
-  private show(text: string, kind: "error" | "news"): void {
-    const known = this.shown.get(text);
+  private show(words: string, kind: "error" | "news"): void {
+    const known = this.shown.get(words);
     if (known !== undefined) {
       known.count += 1;
       known.node.dataset.count = `× ${known.count}`;
       return;
     }
-    if (kind === "error") console.error(text);
+    if (kind === "error") console.error(words);
     const node = element("div", "message");
     node.dataset.kind = kind;
     node.setAttribute("role", kind === "error" ? "alert" : "status");
-    node.append(element("span", "", text));
+    node.append(element("span", "", words));
     const close = element("button", "", "×");
-    close.setAttribute("aria-label", "Close this message");
+    close.setAttribute("aria-label", text("close_message"));
     close.addEventListener("click", () => {
       node.remove();
-      this.shown.delete(text);
+      this.shown.delete(words);
     });
     node.append(close);
     this.root.append(node);
-    this.shown.set(text, { node, count: 1 });
+    this.shown.set(words, { node, count: 1 });
     // The oldest goes when there are too many.
     if (this.shown.size > 4) {
       const [oldest, { node: gone }] = this.shown.entries().next().value!;
@@ -119,25 +117,22 @@ export class Messages {
 
 /** The connection's state: a lamp in the panel, and a banner when it is lost. */
 export function showConnection(page: Pick<Page, "link" | "banner">, state: ConnectionState, attempt: number): void {
-  page.link.textContent = { connecting: "connecting…", open: "connected", lost: "disconnected" }[state];
+  page.link.textContent = text(({ connecting: "connecting", open: "connected", lost: "disconnected" } as const)[state]);
   page.link.dataset.state = state;
   page.banner.hidden = state !== "lost";
-  page.banner.textContent = `Connection to the simulator lost. Trying again (${attempt})…`;
+  page.banner.textContent = text("connection_lost", { n: attempt });
 }
 
-const BUTTONS: ButtonGroups<Action> = [
-  [button("pause", "Pause", "␣"), button("single_step", "Step", "→"), button("reset_simulation", "Reset", "⇧R"), button("next_model", "Model", "M")],
-  [
-    button("reset_view", "View", "R"),
-    button("wireframe", "Edges", "W"),
-    button("fixed_nodes", "Fixed", "T"),
-    button("contacts", "Contacts", "C"),
-    button("forces", "Force", "F"),
-  ],
-  [button("theatre", "Endoscope", "N"), button("wipe", "Wipe lens", "D"), button("outside", "Outside", "⇧N")],
-  [button("cut", "Cut", "X")],
-  [button("screenshot", "Picture", "S"), button("profiler", "Times", "P"), button("help", "Help", "H")],
-];
+const GROUPS = [
+  [["pause", "␣"], ["single_step", "→"], ["slow_motion", "<"], ["reset_simulation", "⇧R"], ["next_model", "M"]],
+  [["reset_view", "R"], ["wireframe", "W"], ["fixed_nodes", "T"], ["contacts", "C"], ["forces", "F"]],
+  [["theatre", "N"], ["wipe", "D"], ["outside", "⇧N"]],
+  [["cut", "X"]],
+  [["panel", "⇧P"], ["screenshot", "S"], ["profiler", "P"], ["help", "H"]],
+  [["start_page", "⇧Q"]],
+] as const;
+
+const BUTTONS: ButtonGroups<Action> = GROUPS.map((group) => group.map(([action, key]) => button<Action>(action, text(`button_${action}`), key)));
 
 /** What of the picture is switched on. */
 export interface ShownParts {
@@ -146,6 +141,9 @@ export interface ShownParts {
   readonly forces: boolean;
   readonly fixedNodes: boolean;
   readonly profiler: boolean;
+  /** All measurements instead of the force alone. */
+  readonly panel: boolean;
+  readonly plot: boolean;
 }
 
 /** What of the theatre view is switched on. */
@@ -162,16 +160,20 @@ export class Toolbar extends ButtonBar<Action> {
   }
 
   /** Shows all switches as on or off. */
-  show(paused: boolean, help: boolean, shown: ShownParts, theatre: ShownTheatre): void {
-    this.set("pause", paused, paused ? "Go on" : "Pause");
+  show(paused: boolean, help: boolean, shown: ShownParts, theatre: ShownTheatre, leaving: "offered" | "asked" | null, speed: number): void {
+    this.set("pause", paused, text(paused ? "button_go_on" : "button_pause"));
+    this.set("slow_motion", speed < 1, speed < 1 ? text("button_slow_at", { speed }) : text("button_slow_motion"));
     this.set("wireframe", shown.style !== 0);
     this.set("contacts", shown.contacts);
     this.set("forces", shown.forces);
     this.set("fixed_nodes", shown.fixedNodes);
     this.set("profiler", shown.profiler);
+    this.set("panel", shown.panel);
     this.set("help", help);
     this.set("theatre", theatre.on);
     this.set("outside", theatre.showsOutside);
+    this.name("start_page", text(leaving === "asked" ? "button_end_it" : "button_start_page"));
+    this.offer("start_page", leaving !== null);
     this.offer("theatre", theatre.endoscope !== null);
     for (const action of ["wipe", "outside"] as const) this.offer(action, theatre.on);
   }
@@ -183,7 +185,7 @@ export async function savePicture(picture: Promise<Blob>, step: number, messages
     download(await picture, `glisson-step-${String(step).padStart(6, "0")}.png`);
     return true;
   } catch (error) {
-    messages.error(`The picture was not saved: ${error instanceof Error ? error.message : String(error)}`);
+    messages.error(text("not_saved", { why: error instanceof Error ? error.message : String(error) }));
     return false;
   }
 }

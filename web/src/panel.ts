@@ -1,9 +1,10 @@
 /** The panel of numbers: what each shows is a pure function of the hello message and the newest snapshot. */
 import type { Bleeding } from "./blood";
 import { drawJitter } from "./jitter";
+import { text } from "./language";
 import type { Hello, HandHeader, Vec3 } from "./protocol";
 import { handOf, type Feel } from "./feel";
-import { hapticsText, jitterText, tickText, whereHapticsAre, type HapticTiming, type LoopNews } from "./timing";
+import { hapticsText, jitterText, tickText, whereHapticsAre, type HapticTiming, type LoopNews, type Timing } from "./timing";
 
 export type PanelKey =
   | "scene"
@@ -66,23 +67,31 @@ const grouped = new Intl.NumberFormat("en-GB", { maximumFractionDigits: 0 });
 function instrumentText(hello: Hello, header: HandHeader, tool: number): string {
   const { length } = hello.tools;
   const name = hello.tools[tool]?.name ?? NONE;
-  const place = length > 1 ? `${tool + 1} of ${length}: ` : "";
-  const hold = header.grasps ? `, holds ${header.heldNodes} nodes` : "";
-  return `${place}${name}${hold}${header.trigger > 0.5 ? ", on" : ""}`;
+  const parts = [length > 1 ? text("value_of", { n: tool + 1, m: length, name }) : name];
+  if (header.grasps) parts.push(text("value_holds", { n: header.heldNodes }));
+  if (header.trigger > 0.5) parts.push(text("value_on"));
+  return parts.join(", ");
 }
 
 /** Blood that comes out now: `12.3 ml/min from 2`. */
 function bleedingText(bleeding: Bleeding): string {
-  if (bleeding.ends.length === 0) return bleeding.clips > 0 ? `none, ${bleeding.clips} clips` : "none";
-  const clips = bleeding.clips > 0 ? `, ${bleeding.clips} clips` : "";
-  return `${(60e6 * bleeding.rate_m3_per_s).toFixed(1)} ml/min from ${bleeding.ends.length}${clips}`;
+  const rate = (60e6 * bleeding.rate_m3_per_s).toFixed(1);
+  const parts = [bleeding.ends.length === 0 ? text("value_none") : text("value_from", { rate, n: bleeding.ends.length })];
+  if (bleeding.clips > 0) parts.push(text("value_clips", { n: bleeding.clips }));
+  return parts.join(", ");
 }
 
 /** What the hand would feel: `1.20 N`; a dash where the page is no device. */
 function handText(feel: Feel | null, tool: number): string {
   const hand = handOf(feel, tool);
   if (hand === null) return NONE;
-  return hand.is_held ? forceText(lengthOf(hand.force_n)) : "let go";
+  return hand.is_held ? forceText(lengthOf(hand.force_n)) : text("value_let_go");
+}
+
+/** `0.98 ×`, and in slow motion that it is. */
+function factorText(factor: number, timing: Pick<Timing, "speed"> | null): string {
+  const shown = factor.toFixed(2);
+  return timing !== null && timing.speed < 1 ? text("value_slow", { factor: shown }) : `${shown} ×`;
 }
 
 export function panelValues(
@@ -103,15 +112,15 @@ export function panelValues(
     force_peak: header === null ? NONE : forceText(peak_n),
     hand_force: handText(feel, tool),
     instrument: header === null || hello === null ? NONE : instrumentText(hello, header, tool),
-    contact: header === null ? NONE : header.contact ? "yes" : "no",
+    contact: header === null ? NONE : text(header.contact ? "value_yes" : "value_no"),
     contact_point: header?.contact ? pointText_mm(header.contactPoint_m) : NONE,
     tip: header === null ? NONE : pointText_mm(header.tip_m),
-    state: header === null ? "waiting" : header.paused ? "paused" : "running",
-    rate: header === null ? NONE : `${grouped.format(header.rate_steps_per_s)} steps/s`,
-    real_time_factor: header === null ? NONE : `${header.realTimeFactor.toFixed(2)} ×`,
+    state: text(header === null ? "value_waiting" : header.paused ? "value_paused" : "value_running"),
+    rate: header === null ? NONE : text("value_rate", { n: grouped.format(header.rate_steps_per_s) }),
+    real_time_factor: header === null ? NONE : factorText(header.realTimeFactor, timing),
     step: header === null ? NONE : grouped.format(header.step),
     time: header === null ? NONE : `${header.time_s.toFixed(3)} s`,
-    control: role === null ? NONE : role.role === "controller" ? "this page" : role.control_is_taken ? "another" : "free",
+    control: role === null ? NONE : text(role.role === "controller" ? "value_this_page" : role.control_is_taken ? "value_another" : "value_free"),
     haptics: timing?.haptics ? hapticsText(timing.haptics) : (whereHapticsAre(timing) ?? NONE),
     haptic_jitter: timing?.haptics ? jitterText(timing.haptics) : NONE,
     haptic_tick: timing?.haptics ? tickText(timing.haptics) : NONE,
@@ -124,40 +133,12 @@ export function panelValues(
   };
 }
 
-interface Row {
-  readonly key: PanelKey;
-  readonly label: string;
-  readonly title: string;
-}
+type RowKey = Exclude<PanelKey, "scene" | "force" | "force_components" | "force_peak" | "hand_force" | "arrow_scale">;
 
-const row = (key: PanelKey, label: string, title: string): Row => ({ key, label, title });
-
-const INSTRUMENT_ROWS: readonly Row[] = [
-  row("instrument", "In the hand", "Keys 1 to 4 choose; B closes the jaws, V switches on"),
-  row("contact", "Contact", "Whether the tip touches the organ"),
-  row("contact_point", "at (mm)", "Contact point in the patient frame: left, posterior, superior"),
-  row("tip", "Tip (mm)", "Centre of the tip in the patient frame: left, posterior, superior"),
-  row("bleeding", "Bleeding", "Blood from open vessels now (scenes with vessels); A sets a clip"),
-  row("blood_lost", "Blood lost", "Blood lost so far"),
-];
-const SIMULATION_ROWS: readonly Row[] = [
-  row("state", "State", "Running or paused"),
-  row("rate", "Rate", "Steps that the simulation computes in a second, measured"),
-  row("real_time_factor", "Real time", "Simulated seconds in a second: 1 is real time"),
-  row("step", "Step", "Steps since the start"),
-  row("time", "Time", "Simulated time since the start"),
-  row("control", "Control", "Who moves the instruments: one page; the others watch, and take over when it is free"),
-];
-const HAPTICS_ROWS: readonly Row[] = [
-  row("haptics", "Loop", "Rate of the force-feedback loop and deadlines that it missed by more than two periods (more: key P)"),
-  row("haptic_jitter", "Jitter", "By how much the intervals between two ticks are off: half of them, and 99.9 %"),
-  row("haptic_tick", "A tick", "Time that a tick of the force-feedback loop takes, of the time from one to the next"),
-];
-const MODEL_ROWS: readonly Row[] = [
-  row("model", "Model", "How the deformation is computed"),
-  row("material", "Material", "Law and parameters of the tissue"),
-  row("mesh", "Nodes / tets", "Size of the whole mesh; the surface alone is displayed"),
-];
+const INSTRUMENT_ROWS: readonly RowKey[] = ["instrument", "contact", "contact_point", "tip", "bleeding", "blood_lost"];
+const SIMULATION_ROWS: readonly RowKey[] = ["state", "rate", "real_time_factor", "step", "time", "control"];
+const HAPTICS_ROWS: readonly RowKey[] = ["haptics", "haptic_jitter", "haptic_tick"];
+const MODEL_ROWS: readonly RowKey[] = ["model", "material", "mesh"];
 
 /** Not every scene and server has them. */
 const OPTIONAL: ReadonlySet<PanelKey> = new Set(["hand_force", "bleeding", "blood_lost", "haptic_jitter", "haptic_tick"]);
@@ -165,15 +146,16 @@ const OPTIONAL: ReadonlySet<PanelKey> = new Set(["hand_force", "bleeding", "bloo
 /** What a recording does not have. */
 const LIVE: ReadonlySet<PanelKey> = new Set(["rate", "real_time_factor", "control"]);
 
-function element<K extends keyof HTMLElementTagNameMap>(name: K, className: string, text = ""): HTMLElementTagNameMap[K] {
+function element<K extends keyof HTMLElementTagNameMap>(name: K, className: string, words = ""): HTMLElementTagNameMap[K] {
   const node = document.createElement(name);
   node.className = className;
-  node.textContent = text;
+  node.textContent = words;
   return node;
 }
 
 export class Panel {
   readonly plot: HTMLCanvasElement;
+  readonly plotLegend: HTMLElement;
   /** Histogram of the haptic loop's jitter; hidden where no loop tells its times. */
   private readonly jitter: HTMLCanvasElement;
   private shownTiming: HapticTiming | null = null;
@@ -185,36 +167,36 @@ export class Panel {
   /** Without `isLive`, what only a running simulation has is left out. */
   constructor(private readonly root: HTMLElement, isLive = true) {
     const force = element("section", "force");
-    force.append(element("h2", "", "Force on the instrument"));
+    force.append(element("h2", "", text("force_title")));
     force.append(this.cell("force", "force-number"));
     const parts = element("div", "force-parts");
-    parts.title = "Components along left, posterior and superior";
+    parts.title = text("force_components_about");
     parts.append(element("span", "label", "L  P  S"), this.cell("force_components", "value"));
     const peak = element("div", "force-parts");
-    peak.append(element("span", "label", "Largest"), this.cell("force_peak", "value"));
+    peak.append(element("span", "label", text("force_peak")), this.cell("force_peak", "value"));
     const arrow = element("div", "force-parts");
-    arrow.title = "Length of the orange arrow for one newton";
-    arrow.append(element("span", "label", "Arrow"), this.cell("arrow_scale", "value"));
+    arrow.title = text("arrow_scale_about");
+    arrow.append(element("span", "label", text("arrow_scale")), this.cell("arrow_scale", "value"));
     this.plot = element("canvas", "plot");
-    this.plot.setAttribute("aria-label", "Force over the last ten simulated seconds");
-    const legend = element("div", "plot-legend", "force (N) over simulated time");
+    this.plot.setAttribute("aria-label", text("plot_label"));
+    this.plotLegend = element("div", "plot-legend", text("plot_legend"));
     const hand = element("div", "force-parts");
-    hand.title = "Force that the haptic loop gives to the hand, where the page is a device (--device viewer)";
-    hand.append(element("span", "label", "Hand"), this.cell("hand_force", "value"));
+    hand.title = text("hand_force_about");
+    hand.append(element("span", "label", text("hand_force")), this.cell("hand_force", "value"));
     this.optional.set("hand_force", hand);
-    force.append(parts, peak, hand, arrow, this.plot, legend);
-    const haptics = isLive ? this.section("Haptics", HAPTICS_ROWS) : element("section", "");
+    force.append(parts, peak, hand, arrow, this.plot, this.plotLegend);
+    const haptics = isLive ? this.section("haptics", HAPTICS_ROWS) : element("section", "");
     this.jitter = element("canvas", "jitter");
-    this.jitter.setAttribute("aria-label", "How many intervals of the haptic loop are off by how much");
-    this.jitter.title = "How many intervals are off by how much, both logarithmic; beyond the red line deadlines are missed";
+    this.jitter.setAttribute("aria-label", text("jitter_label"));
+    this.jitter.title = text("jitter_about");
     haptics.append(this.jitter);
     root.append(
       this.cell("scene", "scene-name"),
       force,
-      this.section("Instrument", INSTRUMENT_ROWS),
-      this.section("Simulation", SIMULATION_ROWS.filter(({ key }) => isLive || !LIVE.has(key))),
+      this.section("instrument", INSTRUMENT_ROWS),
+      this.section("simulation", SIMULATION_ROWS.filter((key) => isLive || !LIVE.has(key))),
       ...(isLive ? [haptics] : []),
-      this.section("Model", MODEL_ROWS),
+      this.section("model", MODEL_ROWS),
     );
   }
 
@@ -225,20 +207,21 @@ export class Panel {
     return cell;
   }
 
-  private section(title: string, rows: readonly Row[]): HTMLElement {
+  private section(title: "haptics" | "instrument" | "simulation" | "model", rows: readonly RowKey[]): HTMLElement {
     const section = element("section", "");
-    section.append(element("h2", "", title));
-    for (const { key, label, title: tip } of rows) {
+    section.append(element("h2", "", text(`section_${title}`)));
+    for (const key of rows) {
       const line = element("div", "row");
-      line.title = tip;
-      line.append(element("span", "label", label), this.cell(key, "value"));
+      line.title = text(`about_${key}`);
+      line.append(element("span", "label", text(`row_${key}`)), this.cell(key, "value"));
       if (OPTIONAL.has(key)) this.optional.set(key, line);
       section.append(line);
     }
     return section;
   }
 
-  show(values: PanelValues, header: HandHeader | null): void {
+  /** `speed`: simulated seconds in a second that were asked for. */
+  show(values: PanelValues, header: HandHeader | null, speed = 1): void {
     for (const [key, cell] of this.cells) {
       if (this.shown?.[key] !== values[key]) cell.textContent = values[key];
     }
@@ -246,7 +229,7 @@ export class Panel {
     this.shown = values;
     this.root.classList.toggle("in-contact", header?.contact ?? false);
     this.root.classList.toggle("is-paused", header?.paused ?? false);
-    this.root.classList.toggle("is-slow", header !== null && !header.paused && header.realTimeFactor < 0.95);
+    this.root.classList.toggle("is-slow", header !== null && !header.paused && header.realTimeFactor < 0.95 * speed);
   }
 
   /** Draws the haptic loop's histogram when there is news. */

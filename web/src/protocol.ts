@@ -57,6 +57,8 @@ export interface Hello {
   readonly bodies: readonly BodyInfo[];
   readonly tools: readonly ToolInfo[];
   readonly fixed_nodes: readonly number[];
+  /** The page in control may end the simulation: a start page comes after it. */
+  readonly can_leave: boolean;
 }
 
 /** What the user should know: what is wrong, or (news) as it should be. */
@@ -141,11 +143,14 @@ export type ClientMessage =
     }
   | { readonly type: "pause"; readonly paused: boolean }
   | { readonly type: "single_step" }
+  | { readonly type: "speed"; readonly factor: number }
   | { readonly type: "reset" }
   | { readonly type: "cut"; readonly tool: number }
   | { readonly type: "clip"; readonly tool: number }
   | { readonly type: "refine"; readonly tool: number }
   | { readonly type: "undo" }
+  | { readonly type: "task_event"; readonly number: number }
+  | { readonly type: "leave" }
   | { readonly type: "contacts"; readonly shown: boolean }
   | { readonly type: "gravity"; readonly m_per_s2: Vec3 }
   | { readonly type: "model"; readonly name: string };
@@ -198,6 +203,7 @@ export function decodeText(text: string): Hello | ServerNotice | Role | Timing |
     tools: toolsAt(fields),
     models: stringsAt(fields, "models", "hello"),
     fixed_nodes: nodeIdsAt(fields, "fixed_nodes", "hello"),
+    can_leave: fields.can_leave === true,
   };
 }
 

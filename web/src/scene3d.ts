@@ -81,7 +81,7 @@ export class Scene3d {
   /** Bodies that are not shown, by their numbers. */
   private hidden: ReadonlySet<number> = new Set();
   /** What the page covers of the canvas [CSS pixels]. */
-  covered = { left: 0, right: 0, bottom: 0 };
+  covered = { left: 0, right: 0, bottom: 0, top: 0 };
   private restTimer: ReturnType<typeof setTimeout> | undefined;
 
   /** @throws Error if the browser gives no WebGL 2. */
@@ -119,15 +119,20 @@ export class Scene3d {
     this.placeCamera();
   }
 
-  /** The page covers so many pixels at the left, at the right and at the bottom: the organ is centred in what is free. */
-  setCovered(left: number, right = 0, bottom = 0): void {
+  /** The page covers so many pixels at the left, at the right, at the bottom and at the top: the organ is centred in what is free. */
+  setCovered(left: number, right = 0, bottom = 0, top = 0): void {
     const { width, height } = this;
-    this.covered = { left: Math.min(left, 0.6 * width), right: Math.min(right, 0.3 * width), bottom: Math.min(bottom, 0.6 * height) };
+    this.covered = {
+      left: Math.min(left, 0.6 * width),
+      right: Math.min(right, 0.3 * width),
+      bottom: Math.min(bottom, (top > 0 ? 0.4 : 0.6) * height),
+      top: Math.min(top, 0.4 * height),
+    };
   }
 
   /** Middle of the free part of the canvas [CSS pixels]. */
   middle(): [number, number] {
-    return this.other?.middle() ?? [(this.width + this.covered.left - this.covered.right) / 2, (this.height - this.covered.bottom) / 2];
+    return this.other?.middle() ?? [(this.width + this.covered.left - this.covered.right) / 2, (this.height - this.covered.bottom + this.covered.top) / 2];
   }
 
   setOrbit(orbit: Orbit): void {
@@ -138,8 +143,8 @@ export class Scene3d {
   resetView(): void {
     const bounds = this.hello?.bounds;
     if (bounds === undefined) return;
-    const { left, right, bottom } = this.covered;
-    const free_px = this.height - bottom;
+    const { left, right, bottom, top } = this.covered;
+    const free_px = this.height - bottom - top;
     const orbit = orbitThatShows(new Vector3(...bounds.min_m), new Vector3(...bounds.max_m), (this.width - left - right) / free_px);
     this.setOrbit({ ...orbit, distance_m: (orbit.distance_m * this.height) / free_px });
   }
@@ -149,9 +154,9 @@ export class Scene3d {
     this.camera.lookAt(this.orbit.target_m);
     this.camera.near = Math.max(0.004, 0.02 * this.orbit.distance_m);
     this.camera.far = this.orbit.distance_m + 3;
-    const { left, right, bottom } = this.covered;
+    const { left, right, bottom, top } = this.covered;
     // Calls updateProjectionMatrix.
-    this.camera.setViewOffset(this.width, this.height, (right - left) / 2, bottom / 2, this.width, this.height);
+    this.camera.setViewOffset(this.width, this.height, (right - left) / 2, (bottom - top) / 2, this.width, this.height);
     this.camera.updateMatrixWorld();
   }
 

@@ -1,5 +1,6 @@
 /** The operating table, which turns about the patient's long axis: gravity turns the other way in the patient. */
 
+import { text } from "./language";
 import type { ClientMessage, Hello, Vec3 } from "./protocol";
 
 /** One key press [rad]. */
@@ -36,6 +37,6 @@ export class Table {
     if (hello === null) return;
     const m_per_s2 = this.tilt(hello.scene.gravity_m_per_s2, direction);
     if (m_per_s2 !== null) server.send({ type: "gravity", m_per_s2 });
-    else page.error("The scene has no gravity: give it one under [simulation].");
+    else page.error(text("no_gravity"));
   }
 }

@@ -1,4 +1,6 @@
 /** The scene's task: what is to be done now, how far it is, the time, and at its end the way to the report. */
+import { text } from "./language";
+import { decodeEvents, TaskEvents, type TaskEventNews } from "./task_events";
 import { fail, fieldsOf, numberAt, pointsAt, stringAt, type Fields, type Vec3 } from "./fields";
 
 export type TaskOutcome = "done" | "time_over";
@@ -6,7 +8,7 @@ export type TaskOutcome = "done" | "time_over";
 /** Where something is to be done: of the tissue at rest, but for a place in space. */
 export interface TaskMark {
   readonly kind: "place" | "line" | "space";
-  /** A place, or the ends of a line [m]. */
+  /** A place, or the points of a line, of a closed one the first again at the end [m]. */
   readonly points_m: readonly Vec3[];
 }
 
@@ -35,6 +37,10 @@ export interface TaskStatus {
   /** Simulated time at which it ended. */
   readonly ended_s: number | null;
   readonly time_limit_s: number;
+  /** Whether the endoscope's lamp is out. */
+  readonly is_dark: boolean;
+  /** What can happen, and what has. */
+  readonly events: readonly TaskEventNews[];
   readonly outcome: TaskOutcome | null;
 }
 
@@ -54,7 +60,8 @@ function decodeMark(value: unknown): TaskMark | null {
     fail(`task.mark.kind is "${kind.slice(0, 40)}"; it may be place, line or space`);
   }
   const points_m = pointsAt(fields, "points_m", "task.mark");
-  if (points_m.length !== (kind === "line" ? 2 : 1)) fail(`task.mark has ${points_m.length} points; a line has two, a place one`);
+  const isAllowed = kind === "line" ? points_m.length >= 2 : points_m.length === 1;
+  if (!isAllowed) fail(`task.mark has ${points_m.length} points; a line has two or more, a place one`);
   return { kind, points_m };
 }
 
@@ -83,6 +90,8 @@ function decodeStatus(value: unknown): TaskStatus {
     began_s: numberOrNull(fields, "began_s"),
     ended_s: numberOrNull(fields, "ended_s"),
     time_limit_s: numberAt(fields, "time_limit_s", "task", 0),
+    is_dark: fields.is_dark === true,
+    events: decodeEvents(fields.events),
     outcome,
   };
 }
@@ -95,13 +104,13 @@ export function clockText(time_s: number): string {
 
 /** The time that a task has taken at `now_s`, and what it may take: `0:12 of 3:00`. */
 export function timeText(task: TaskStatus, now_s: number): string {
-  if (task.began_s === null) return "begins when you move an instrument";
-  return `${clockText(now_s - task.began_s)} of ${clockText(task.time_limit_s)}`;
+  if (task.began_s === null) return text("task_begins");
+  return text("task_time", { time: clockText(now_s - task.began_s), limit: clockText(task.time_limit_s) });
 }
 
 /** How a task ended, in words. */
 export function outcomeText(outcome: TaskOutcome): string {
-  return outcome === "done" ? "All stages are done." : "The time is over.";
+  return text(outcome === "done" ? "task_done" : "task_time_over");
 }
 
 export class TaskPanel {
@@ -113,23 +122,26 @@ export class TaskPanel {
   private readonly hint = document.createElement("p");
   private readonly mistake = document.createElement("p");
   private readonly report = document.createElement("a");
+  private readonly events: TaskEvents;
   private now_s = 0;
 
-  constructor(private readonly root: HTMLElement) {
+  /** `letCome`: who teaches lets an event come, by its number. */
+  constructor(private readonly root: HTMLElement, letCome: (event: number) => void) {
+    this.events = new TaskEvents(letCome);
     const head = document.createElement("header");
     head.append(this.title, this.time);
     this.stage.className = "stage";
     this.stage.setAttribute("role", "status");
     this.bar.max = 1;
-    this.bar.setAttribute("aria-label", "How far the task is");
+    this.bar.setAttribute("aria-label", text("task_progress"));
     this.hint.className = "task-hint";
     this.mistake.className = "mistake";
     this.mistake.setAttribute("role", "status");
-    this.report.textContent = "Look at the report";
+    this.report.textContent = text("task_report");
     this.report.href = "report";
     this.report.target = "_blank";
     this.report.rel = "noopener";
-    root.append(head, this.stage, this.bar, this.hint, this.mistake, this.report);
+    root.append(head, this.stage, this.bar, this.hint, this.mistake, this.report, this.events.root);
   }
 
   /** Answers whether it is the first one of a task that begins with the endoscope's picture. */
@@ -139,16 +151,17 @@ export class TaskPanel {
     this.root.hidden = status === null;
     if (status === null) return false;
     this.title.textContent = status.title;
-    const number = `${Math.min(status.n_done + 1, status.n_stages)} of ${status.n_stages}`;
-    this.stage.textContent = status.outcome === null ? `${number}: ${status.stage}` : outcomeText(status.outcome);
+    const stage = { n: Math.min(status.n_done + 1, status.n_stages), m: status.n_stages, stage: status.stage };
+    this.stage.textContent = status.outcome === null ? text("task_stage", stage) : outcomeText(status.outcome);
     this.stage.dataset.outcome = status.outcome ?? "";
     this.bar.value = (status.n_done + status.share) / status.n_stages;
     this.hint.textContent = status.hint ?? "";
     this.hint.hidden = status.hint === null;
-    const times = status.n_mistakes > 1 ? ` (${status.n_mistakes} mistakes)` : "";
-    this.mistake.textContent = `${status.mistake ?? ""}${times}`;
+    const mistake = status.mistake ?? "";
+    this.mistake.textContent = status.n_mistakes > 1 ? text("task_mistakes", { mistake, n: status.n_mistakes }) : mistake;
     this.mistake.hidden = status.mistake === null;
     this.report.hidden = status.outcome === null;
+    this.events.show(status.events, status.began_s !== null && status.outcome === null);
     this.tick(this.now_s);
     return isFirst && status.begins_in_theatre;
   }
@@ -157,7 +170,7 @@ export class TaskPanel {
   tick(now_s: number): void {
     this.now_s = now_s;
     if (this.status === null) return;
-    const text = timeText(this.status, this.status.ended_s ?? now_s);
-    if (this.time.textContent !== text) this.time.textContent = text;
+    const time = timeText(this.status, this.status.ended_s ?? now_s);
+    if (this.time.textContent !== time) this.time.textContent = time;
   }
 }

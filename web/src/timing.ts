@@ -1,4 +1,6 @@
 /** What the server tells about its loops, and about who controls. */
+import { text } from "./language";
+import { SlowMotion } from "./slow_motion";
 import { rumble, type Feel } from "./feel";
 import { fail, fieldsOf, numberAt, stringAt, type Fields } from "./fields";
 
@@ -55,6 +57,8 @@ export interface Timing {
   readonly left_out_s: number;
   /** How thoroughly steps are computed: full, reduced or least. */
   readonly effort: string;
+  /** Simulated seconds in a second that were asked for. */
+  readonly speed: number;
   readonly steps: StepTiming;
   /** Null without a force-feedback device at this machine. */
   readonly haptics: HapticTiming | null;
@@ -74,6 +78,7 @@ export function decodeTiming(fields: Fields): Timing {
     times_given_up: numberAt(simulation, "times_given_up", "timing.simulation", 0),
     left_out_s: numberAt(simulation, "left_out_s", "timing.simulation", 0),
     effort: stringAt(simulation, "effort", "timing.simulation"),
+    speed: simulation.speed === undefined ? 1 : numberAt(simulation, "speed", "timing.simulation", 0.01),
     steps: decodeSteps(simulation),
     haptics: fields.haptics === null ? null : decodeHaptics(fieldsOf(fields.haptics, "timing.haptics")),
     haptics_at: decodePlace(stringAt(fields, "haptics_at", "timing")),
@@ -150,7 +155,7 @@ function decodeHaptics(haptics: Fields): HapticTiming {
 /** For the panel: `1000 Hz, 0.00 % missed`. */
 export function hapticsText(haptics: HapticTiming): string {
   const missed = (100 * haptics.missed_deadlines) / Math.max(1, haptics.deadlines);
-  return `${haptics.rate_hz.toFixed(0)} Hz, ${missed.toFixed(2)} % missed`;
+  return text("value_missed", { rate: haptics.rate_hz.toFixed(0), percent: missed.toFixed(2) });
 }
 
 /** For the panel: `3 µs, 99.9 % 41`. */
@@ -160,13 +165,14 @@ export function jitterText(haptics: HapticTiming): string {
 
 /** For the panel: what a tick takes of its period, `4 of 1000 us, 99.9 % 7`. */
 export function tickText(haptics: HapticTiming): string {
-  return `${haptics.tick_p50_us.toFixed(0)} of ${haptics.period_us.toFixed(0)} µs, 99.9 % ${haptics.tick_p999_us.toFixed(0)}`;
+  const [tick, period, most] = [haptics.tick_p50_us, haptics.period_us, haptics.tick_p999_us].map((us) => us.toFixed(0));
+  return text("value_tick", { tick, period, most });
 }
 
 /** For the panel where no loop tells its times; null without news. */
 export function whereHapticsAre(timing: Timing | null): string | null {
   if (timing === null) return null;
-  return { nowhere: "no device", here: "starting", other_machine: "at the other machine" }[timing.haptics_at];
+  return text(`value_${timing.haptics_at}`);
 }
 
 /** What steps take of their budget, how many took longer, and how often a state is published; two lines. */
@@ -205,6 +211,7 @@ export function timingLines(timing: Timing | null): string[] {
 /** The newest of each. */
 export class LoopNews {
   role: Role | null = null;
+  readonly slowMotion = new SlowMotion();
   timing: Timing | null = null;
   /** Null where no page is a device. */
   feel: Feel | null = null;
@@ -216,6 +223,7 @@ export class LoopNews {
     },
     timing: (timing: Timing): void => {
       this.timing = timing;
+      this.slowMotion.hear(timing);
       this.changed();
     },
     feel: (feel: Feel): void => {

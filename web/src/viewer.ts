@@ -5,10 +5,12 @@ import { Controls } from "./controls";
 import { HandMotion } from "./hand_motion";
 import { Hands } from "./hands";
 import { newCounters, type ViewerParts } from "./hook";
-import { actionOf, rollOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
+import { actionOf, isForPart, rollOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
+import { text } from "./language";
+import { goesElsewhere, Leaving } from "./leaving";
+import { Looks } from "./looks";
 import type { Orbit } from "./orbit";
 import { drawOrientation } from "./orientation";
-import { SURFACE_STYLES } from "./organ";
 import { Help, Messages, savePicture, showConnection, Toolbar } from "./overlays";
 import type { Page } from "./page";
 import { lengthOf, Panel, panelValues } from "./panel";
@@ -24,8 +26,6 @@ import { Table } from "./table";
 import { TaskPanel } from "./task";
 import { Theatre } from "./theatre/view";
 import type { ToolDriver } from "./tool_driver";
-
-const NO_ENDOSCOPE = "This scene has no endoscope: give it a [[tool]] with kind = \"endoscope\".";
 
 export class Viewer {
   private readonly scene: Scene3d;
@@ -57,7 +57,8 @@ export class Viewer {
   private readonly resolution = new Resolution();
   private frameAsked = false;
   private lastFrame_ms: number | null = null;
-  private readonly shown = { style: 0, contacts: false, forces: true, fixedNodes: false, profiler: false };
+  private readonly looks: Looks;
+  private readonly leaving: Leaving;
   private readonly counters = newCounters();
 
   constructor(private readonly page: Page) {
@@ -67,7 +68,7 @@ export class Viewer {
     this.help = new Help(document.body);
     this.bodies = new BodyList(page.bodies, (hidden) => { this.scene.hide(hidden); this.redraw(); });
     this.contacts = new Contacts(page.contacts, this.scene.contactMarks);
-    this.task = new TaskPanel(page.task);
+    this.task = new TaskPanel(page.task, (number) => this.connection.send({ type: "task_event", number }));
     this.toolbar = new Toolbar(page.toolbar, (action) => this.run(action, false));
     this.theatre = new Theatre(this.scene, page);
     this.motion = new HandMotion(this.scene, this.hands, this.theatre, page, this.messages, {
@@ -77,12 +78,11 @@ export class Viewer {
     this.controls = new Controls(page.scene, this.motion);
     window.addEventListener("keydown", (event) => this.key(event));
     new GamepadInput((motion_m) => this.motion.nudge(motion_m, 1), (action) => this.run(action, false), () => this.news.rumble(this.hands.chosen));
-    window.addEventListener("error", (event) => this.messages.error(`Error in the page: ${event.message}`));
-    window.addEventListener("unhandledrejection", (event) => this.messages.error(`Error in the page: ${event.reason}`));
+    window.addEventListener("error", (event) => this.messages.error(text("page_error", { message: event.message })));
+    window.addEventListener("unhandledrejection", (event) => this.messages.error(text("page_error", { message: String(event.reason) })));
     const sizes = new ResizeObserver(() => this.resize());
-    for (const part of [page.scene, page.toolbar]) sizes.observe(part);
-    this.resize();
-    page.scene.addEventListener("webglcontextlost", () => this.messages.error("The graphics were lost; reload the page."));
+    for (const part of [page.scene, page.toolbar, page.panel, page.task]) sizes.observe(part);
+    page.scene.addEventListener("webglcontextlost", () => this.messages.error(text("graphics_lost")));
 
     this.connection = new Connection(socketAddress(window.location.href), {
       state: (state, attempt) => this.connectionState(state, attempt),
@@ -91,16 +91,26 @@ export class Viewer {
       snapshot: (snapshot, bytes) => this.receive(snapshot, bytes),
       ...this.news.events,
       task: ({ status }) => {
-        if (this.task.show(status) && !this.theatre.on) this.run("theatre", false);
+        if (this.task.show(status) && !this.theatre.on) this.turnTheatre(true);
+        if (this.theatre.setDark(status?.is_dark ?? false)) this.redraw();
         if (this.scene.taskMarks.show(status?.mark ?? null, this.scene.organs.get(0)?.positions_m ?? null)) this.redraw();
       },
       error: (message) => this.messages.error(message),
       notice: (message) => this.messages.notice(message),
+    }, async () => (this.hello?.can_leave === true ? goesElsewhere() : false));
+    this.leaving = new Leaving({
+      leave: () => this.connection.send({ type: "leave" }),
+      notice: (words) => this.messages.notice(words),
+      changed: () => this.refreshSwitches(),
     });
+    this.looks = new Looks(page.panel, this.panel, this.scene, this.theatre, this.contacts, (action) => this.run(action, false));
+    this.looks.begin(this.connection);
+    this.showProfiler();
+    this.resize();
     this.connection.open();
     this.refreshSwitches();
     // The panel's rates and the profiler stay fresh although nothing moves.
-    setInterval(() => this.shown.profiler && this.showProfiler(), 250);
+    setInterval(() => this.looks.shown.profiler && this.showProfiler(), 250);
   }
 
   private connectionState(state: ConnectionState, attempt: number): void {
@@ -174,16 +184,18 @@ export class Viewer {
   }
 
   private resize(): void {
-    // On a narrow page the panel lies over the organ instead of beside it.
-    this.scene.setCovered(window.innerWidth > 860 ? this.page.panel.getBoundingClientRect().right : 0);
+    this.looks.layOut();
+    const [panel, toolbar, task] = [this.page.panel, this.page.toolbar, this.page.task].map((part) => part.getBoundingClientRect());
+    // On a narrow page the panel is above the organ instead of beside it.
+    if (panel.width < 0.6 * window.innerWidth) this.scene.setCovered(panel.right);
+    else this.scene.setCovered(0, 0, Math.max(0, window.innerHeight - toolbar.top), Math.max(panel.bottom, task.bottom));
     this.scene.resize();
     this.theatre.layOut();
     this.redraw();
   }
 
   private key(event: KeyboardEvent): void {
-    const onButton = event.target instanceof HTMLButtonElement && (event.key === " " || event.key === "Enter");
-    const action = onButton ? null : actionOf(event);
+    const action = isForPart(event) ? null : actionOf(event);
     if (action === null) return;
     event.preventDefault();
     this.run(action, event.shiftKey);
@@ -206,6 +218,9 @@ export class Viewer {
       case "undo":
         this.connection.send(messageOf(action, this.header?.paused, this.hands.chosen));
         break;
+      case "slow_motion":
+        this.connection.send({ type: "speed", factor: this.news.slowMotion.next() });
+        break;
       case "jaws":
       case "trigger":
         this.hands.press(action);
@@ -227,36 +242,28 @@ export class Viewer {
         this.scene.resetView();
         break;
       case "theatre":
-        if (this.theatre.endoscope === null) this.messages.notice(NO_ENDOSCOPE);
-        else {
-          this.controls.cancel();
-          this.theatre.turn(!this.theatre.on);
-        }
+        this.turnTheatre(!this.theatre.on);
+        this.looks.keepTheatre();
         break;
       case "wipe":
         this.theatre.smear = 0;
         break;
       case "outside":
         this.theatre.toggleOutside();
+        this.looks.keepTheatre();
         break;
       case "wireframe":
-        this.shown.style = (this.shown.style + 1) % SURFACE_STYLES.length;
-        this.scene.setStyle(SURFACE_STYLES[this.shown.style]);
-        break;
       case "contacts":
-        this.shown.contacts = !this.shown.contacts;
-        this.contacts.turn(this.shown.contacts, this.connection);
-        break;
       case "forces":
-        this.shown.forces = !this.shown.forces;
-        break;
       case "fixed_nodes":
-        this.shown.fixedNodes = !this.shown.fixedNodes;
-        this.scene.showFixed(this.shown.fixedNodes);
-        break;
       case "profiler":
-        this.shown.profiler = !this.shown.profiler;
-        this.showProfiler();
+      case "panel":
+      case "plot":
+        this.looks.turn(action, this.connection);
+        if (action === "profiler") this.showProfiler();
+        break;
+      case "start_page":
+        this.leaving.press(this.hello?.can_leave === true, performance.now());
         break;
       case "help":
         this.help.open = !this.help.open;
@@ -275,12 +282,20 @@ export class Viewer {
     this.redraw();
   }
 
+  private turnTheatre(on: boolean): void {
+    if (this.theatre.endoscope === null) return this.messages.notice(text("no_endoscope"));
+    this.controls.cancel();
+    this.theatre.turn(on);
+    this.refreshSwitches();
+    this.redraw();
+  }
+
   /** Closes what is open, else takes the instrument off the organ. */
   private leave(): void {
     if (this.help.open) this.help.open = false;
     else if (this.tool.pushing) this.controls.cancel();
     else if (this.tool.active) this.tool.retract();
-    else if (this.shown.profiler) this.run("profiler", false);
+    else if (this.looks.shown.profiler) this.run("profiler", false);
   }
 
   private async screenshot(): Promise<void> {
@@ -288,7 +303,8 @@ export class Viewer {
   }
 
   private refreshSwitches(): void {
-    this.toolbar.show(this.header?.paused ?? false, this.help.open, this.shown, this.theatre);
+    const leaving = this.hello?.can_leave === true ? (this.leaving.isAsked(performance.now()) ? "asked" : "offered") : null;
+    this.toolbar.show(this.header?.paused ?? false, this.help.open, this.looks.shown, this.theatre, leaving, this.news.slowMotion.speed);
   }
 
   private invalidate(): void {
@@ -303,12 +319,12 @@ export class Viewer {
     const dt_s = Math.min(0.1, Math.max(0, (now_ms - (this.lastFrame_ms ?? now_ms)) / 1000));
     this.lastFrame_ms = now_ms;
 
-    for (const { tool, pose } of this.hands.advance(dt_s, (tool) => this.scene.pose(tool))) {
+    for (const { tool, pose } of this.hands.advance(dt_s * this.news.slowMotion.speed, (tool) => this.scene.pose(tool))) {
       if (this.connection.send(this.hands.message(tool, pose, this.header))) this.counters.sentToolMessages += 1;
     }
     this.showWaiting();
     if (this.sceneChanged) {
-      this.scene.styleTools(arrowScale_m_per_n(this.history.peak_n), this.shown.forces, !this.shown.contacts);
+      this.scene.styleTools(arrowScale_m_per_n(this.history.peak_n), this.looks.shown.forces, !this.looks.shown.contacts);
       this.contacts.show(this.scene.distance_m);
       if (this.header !== null) {
         this.scene.showTools(this.header);
@@ -346,7 +362,7 @@ export class Viewer {
         if (shown === "changed") this.sceneChanged = true;
       } catch (error) {
         if (!(error instanceof ProtocolError)) throw error;
-        this.messages.error(`Message not understood: ${error.message}`);
+        this.messages.error(text("not_understood", { message: error.message }));
       }
     }
     this.waiting.clear();
@@ -362,20 +378,20 @@ export class Viewer {
 
   private showPanel(): void {
     const { hello, header, history, hands, news } = this;
-    this.panel.show(panelValues(hello, header, history.peak_n, arrowScale_m_per_n(history.peak_n), hands.chosen, news), header);
+    this.panel.show(panelValues(hello, header, history.peak_n, arrowScale_m_per_n(history.peak_n), hands.chosen, news), header, news.slowMotion.speed);
     this.panel.showJitter(news.timing?.haptics ?? null);
   }
 
   private showProfiler(): void {
-    this.page.profiler.hidden = !this.shown.profiler;
-    if (!this.shown.profiler) return;
+    this.page.profiler.hidden = !this.looks.shown.profiler;
+    if (!this.looks.shown.profiler) return;
     const { hello, header, news, scene: { renderer, software } } = this;
     this.page.profiler.textContent = profilerReport(this.profile.summary(performance.now()), renderer.info.render, software, header, hello, news.timing);
   }
 
   /** The parts that `hook.ts` reads. */
   parts(): ViewerParts {
-    const { scene, panel, messages, help, tool, profile, hello, header, theatre, motion: { pickedVertex }, state, shown, counters } = this;
+    const { scene, panel, messages, help, tool, profile, hello, header, theatre, motion: { pickedVertex }, state, looks: { shown }, counters } = this;
     return { scene, panel, messages, help, tool, profile, hello, header, theatre, pickedVertex, state, shown, counters };
   }
 }

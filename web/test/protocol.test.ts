@@ -121,6 +121,7 @@ const HELLO: Hello = {
   ],
   models: ["precomputed", "tensor_mass"],
   fixed_nodes: [1, 2, 3],
+  can_leave: true,
 };
 
 /** Small seeded generator (xorshift32, Marsaglia 2003, doi 10.18637/jss.v008.i14). */

@@ -22,7 +22,7 @@ it("the lock file names no place to download from", () => {
 });
 
 it("the page loads nothing from elsewhere", () => {
-  const paths = [...filesIn("src").map((name) => `src/${name}`), "index.html", "patient.html", "replay.html"];
+  const paths = [...filesIn("src").map((name) => `src/${name}`), "index.html", "patient.html", "replay.html", "start.html"];
   // The name of a kind of element, which is not loaded.
   const texts = paths.map((path) => readFileSync(`${root}/${path}`, "utf8").replace("http://www.w3.org/2000/svg", ""));
   for (const text of texts) expect(text).not.toMatch(/https?:\/\/(?!127\.0\.0\.1)/);

@@ -16,6 +16,8 @@ const STATUS: TaskStatus = {
   began_s: null,
   ended_s: null,
   time_limit_s: 180,
+  is_dark: false,
+  events: [{ title: "The light fails", came_s: null }, { title: "The patient coughs", came_s: 12.5 }],
   outcome: null,
 };
 
@@ -35,7 +37,11 @@ describe("the task's message", () => {
   it("is refused with the field that is wrong", () => {
     expect(() => read({ ...STATUS, outcome: "won" })).toThrow(/task.outcome is "won"; it may be done/);
     expect(() => read({ ...STATUS, stage: 3 })).toThrow(/task.stage must be a string/);
-    expect(() => read({ ...STATUS, mark: { kind: "place", points_m: [] } })).toThrow(/a line has two, a place one/);
+    expect(() => read({ ...STATUS, mark: { kind: "place", points_m: [] } })).toThrow(/a line has two or more, a place one/);
+    const circle = { kind: "line", points_m: [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0]] };
+    expect(read({ ...STATUS, mark: circle })?.mark).toEqual(circle);
+    expect(() => read({ ...STATUS, events: [{ title: "a", came_s: "now" }] })).toThrow(/task.events.came_s/);
+    expect(() => read({ ...STATUS, events: {} })).toThrow(/task.events is no list/);
     expect(() => read({ ...STATUS, n_stages: 0 })).toThrow(/at least 1/);
   });
 });

@@ -196,6 +196,7 @@ fn browser(scene: &Path) -> anyhow::Result<()> {
     }
     theatre(scene, &chromium)?;
     tasks(&chromium)?;
+    start(&chromium)?;
     replay(scene, &chromium)
 }
 
@@ -224,6 +225,11 @@ fn theatre(demo_scene: &Path, chromium: &Path) -> anyhow::Result<()> {
 /// The tasks that come with the program, each done by its demonstration in front of a page.
 fn tasks(chromium: &Path) -> anyhow::Result<()> {
     browser_test("test:tasks", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
+}
+
+/// The page that one begins with: to a task, to a new patient, and back.
+fn start(chromium: &Path) -> anyhow::Result<()> {
+    browser_test("test:start", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
 }
 
 /// Runs a browser test that needs to know one thing.

@@ -37,6 +37,8 @@ pub enum Command {
     },
     /// Time stands still, or goes on.
     Pause(bool),
+    /// Simulated time over wall time from now on, above 0 and up to 1.
+    Speed(f64),
     /// One step, then a pause.
     SingleStep,
     /// Everything back to rest.
@@ -180,6 +182,8 @@ struct Live {
     published_ns: u64,
     publishing_ns: u64,
     paused: bool,
+    /// Simulated time over wall time.
+    speed: f64,
     dt_s: f64,
 }
 
@@ -284,6 +288,20 @@ impl Live {
         Ok(())
     }
 
+    /// Slow motion, where nothing depends on the time that passes for a person. What it does to the instruments is recorded with their
+    /// poses.
+    fn take_speed(&mut self, speed: f64) {
+        if self.simulation.task().is_some() {
+            self.simulation
+                .tell("a task is done in real time: slow motion would change what is measured".to_owned());
+        } else if !self.links.is_empty() {
+            self.simulation
+                .tell("slow motion: a device holds an instrument, whose forces are for real time".to_owned());
+        } else {
+            self.speed = speed;
+        }
+    }
+
     /// Answers whether the display has to be refreshed at once.
     fn obey(&mut self, command: Command) -> anyhow::Result<bool> {
         match command {
@@ -303,6 +321,7 @@ impl Live {
                 self.paused = paused;
                 return Ok(true);
             }
+            Command::Speed(speed) => self.take_speed(speed),
             Command::SingleStep => {
                 self.paused = true;
                 self.advance()?;
@@ -435,6 +454,7 @@ impl<'a> Timed<'a> {
             published_ns: 0,
             publishing_ns: 0,
             paused: false,
+            speed: 1.0,
             dt_s,
         };
         let now = Instant::now();
@@ -529,10 +549,12 @@ impl<'a> Timed<'a> {
             let begun = Instant::now();
             self.live.advance()?;
             self.meters.count_step(begun.elapsed());
-            self.simulated_until += self.step;
+            self.simulated_until += self.step.div_f64(self.live.speed);
             steps += 1;
         }
         if let Some(load) = self.pace.count(steps, now.elapsed(), self.live.dt_s)
+            // Slow motion is not late.
+            && let load = (Load { real_time_factor: load.real_time_factor / self.live.speed, ..load })
             && let Some(effort) = self.control.look(load)
         {
             self.live.choose_level_of_detail(effort, load)?;
@@ -548,7 +570,8 @@ impl<'a> Timed<'a> {
             return Ok(());
         }
         self.next_frame = Instant::now() + FRAME;
-        let pace = Pace { paused: self.live.paused, ..self.pace.pace };
+        let slow_motion = Some(self.live.speed).filter(|speed| *speed < 1.0);
+        let pace = Pace { paused: self.live.paused, slow_motion, ..self.pace.pace };
         self.latest = Arc::new(self.latest.next(&self.live.simulation, pace, self.lateness));
         self.feed.publish(Arc::clone(&self.latest));
         // A pause is no interval of a display.
@@ -646,6 +669,70 @@ mod tests {
         let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
         assert_eq!(text.matches("\"effort\"").count(), 2 * 2, "{}", text.len());
         assert_eq!(replayed(folder.path(), ""), (None, ended.state_hash));
+    }
+
+    /// Does `what` with a running simulation that is recorded; answers what was published last, how it ended and the recording.
+    fn live(
+        scene: &str,
+        what: impl FnOnce(&std::sync::mpsc::Sender<Command>, &mut watch::Receiver<Arc<Published>>),
+    ) -> (Arc<Published>, Ended, tempfile::TempDir) {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("body.tet"), MESH).unwrap();
+        std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
+        let source = crate::OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+        let simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
+        let (shown, mut published) = Shown::start(&simulation).unwrap();
+        let (commands, commands_out) = std::sync::mpsc::channel();
+        let thread =
+            std::thread::spawn(move || run(simulation, &commands_out, shown, Vec::new(), None).unwrap());
+        what(&commands, &mut published);
+        let latest = Arc::clone(&published.borrow());
+        commands.send(Command::Stop).unwrap();
+        (latest, thread.join().unwrap(), folder)
+    }
+
+    fn when(
+        published: &mut watch::Receiver<Arc<Published>>,
+        is_so: impl Fn(&Published) -> bool,
+    ) -> Arc<Published> {
+        let begin = Instant::now();
+        loop {
+            let latest = Arc::clone(&published.borrow_and_update());
+            if is_so(&latest) {
+                return latest;
+            }
+            assert!(begin.elapsed() < Duration::from_secs(60), "{:?} {:?}", latest.pace, latest.notices);
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
+    #[test]
+    fn slow_motion_passes_time_slowly_is_not_late_and_replays_to_the_same_bits() {
+        let scene = SCENE.replace("[organ]\n", "[organ]\nmodel = \"implicit\"\n");
+        let (latest, ended, folder) = live(&scene, |commands, published| {
+            commands.send(Command::Speed(0.1)).unwrap();
+            let pose = ToolInput::at(DVec3::new(0.04, 0.04, 0.07), DVec3::Z);
+            commands.send(Command::Tool { tool: 0, pose }).unwrap();
+            let is_slow =
+                |now: &Published| now.pace.slow_motion == Some(0.1) && now.pace.real_time_factor < 0.2;
+            let slow = when(published, |now| is_slow(now) && now.pace.real_time_factor > 0.0);
+            assert_eq!(slow.effort, LevelOfDetail::Full);
+            // Looks that would have found it late.
+            std::thread::sleep(Duration::from_millis(1500));
+            assert!(is_slow(&published.borrow()), "{:?}", published.borrow().pace);
+        });
+        assert_eq!((latest.effort, latest.notices.len()), (LevelOfDetail::Full, 0));
+        assert_eq!(replayed(folder.path(), ""), (None, ended.state_hash));
+    }
+
+    #[test]
+    fn a_task_is_done_in_real_time() {
+        let task = "[task]\ntitle = \"t\"\n[[task.stage]]\ntitle = \"touch\"\ntouch = {}\n[organ]\nmodel = \"implicit\"\n";
+        let (latest, ..) = live(&SCENE.replace("[organ]\n", task), |commands, published| {
+            commands.send(Command::Speed(0.1)).unwrap();
+            when(published, |now| now.notices.iter().any(|told| told.text.contains("real time")));
+        });
+        assert_eq!(latest.pace.slow_motion, None);
     }
 
     #[test]

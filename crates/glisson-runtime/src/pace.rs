@@ -16,6 +16,8 @@ pub struct Pace {
     pub real_time_factor: f64,
     /// Whether the simulation stands still because somebody asked for it.
     pub paused: bool,
+    /// Simulated time over wall time that was asked for; none for real time.
+    pub slow_motion: Option<f64>,
 }
 
 /// What the simulation's thread counts; any thread may look.

@@ -7,6 +7,7 @@
 //! TaskRecord (glisson::training) -> report -> HTML
 //! session -> recording -> HTML that plays without a server
 //! image -> patient (its own page) -> scene -> Simulation
+//! tasks, scene files -> start (its own page) -> Simulation
 //! ```
 //!
 //! The modules stand in data-flow order; a module uses only modules above it (`xtask/tests/layering.rs`).
@@ -17,3 +18,4 @@ pub mod report;
 pub mod server;
 pub mod recording;
 pub mod patient;
+pub mod start;

@@ -3,6 +3,7 @@ import "../style.css";
 import "./patient.css";
 import { facts, item, named, options, part } from "./dom";
 import { droppedFiles, imageFiles } from "./drop";
+import { fetchServed, openServed } from "../served";
 import { OrganSection } from "./organs";
 import { clamped, middleVoxel, normalAxis, type Box } from "./planes";
 import { fetchState, post, sendFiles, sliceAddress, type ImageSummary, type PatientState, type PlaneName, type Point, type Step } from "./state";
@@ -101,6 +102,7 @@ function show(now: PatientState): void {
     status.classList.toggle("busy", isBusy);
   }
   part("cancel").hidden = !isBusy || job.is_cancelled;
+  part("leave").hidden = !now.can_leave;
   const progress = part<HTMLProgressElement>("progress");
   progress.hidden = !isBusy;
   progress.value = job?.share ?? 0;
@@ -190,13 +192,14 @@ async function ask(): Promise<void> {
     const now = await fetchState();
     show(now);
     if (now.started) {
-      await goToSimulation();
+      await goOn("starting the simulation…");
       return;
     }
   } catch (error) {
-    // Another page may have started the simulation.
-    if (await isSimulationThere()) {
-      location.reload();
+    // Another page may have started the simulation, or gone back.
+    const served = await fetchServed();
+    if (served !== null && served.page !== "patient") {
+      openServed();
       return;
     }
     status.textContent = "the server does not answer";
@@ -206,25 +209,31 @@ async function ask(): Promise<void> {
   timer = window.setTimeout(() => void ask(), state?.job != null ? ASK_BUSY_MS : ASK_IDLE_MS);
 }
 
-/** Whether the simulation is served at this address by now. */
-async function isSimulationThere(): Promise<boolean> {
-  try {
-    return (await (await fetch("/", { cache: "no-store" })).text()).includes('id="scene"');
-  } catch (error) {
-    console.warn(error);
-    return false;
+/** Another page is served at this address in a moment. */
+async function goOn(words: string): Promise<void> {
+  clearTimeout(timer);
+  status.textContent = words;
+  let served = await fetchServed();
+  while (served === null || served.page === "patient") {
+    await new Promise((resolve) => setTimeout(resolve, ASK_BUSY_MS));
+    served = await fetchServed();
   }
+  openServed();
 }
 
-/** The simulation is served at this address in a moment: then a reload shows it. */
-async function goToSimulation(): Promise<void> {
-  status.textContent = "starting the simulation…";
-  while (!(await isSimulationThere())) await new Promise((resolve) => setTimeout(resolve, ASK_BUSY_MS));
-  location.reload();
+/** Back to the start page, without a simulation. */
+async function leave(): Promise<void> {
+  try {
+    await post("leave", {});
+    await goOn("going back…");
+  } catch (error) {
+    complainOf(error);
+  }
 }
 
 part("as-values").addEventListener("click", () => void step("values", {}));
 part("cancel").addEventListener("click", () => void step("cancel", {}));
+part("leave").addEventListener("click", () => void leave());
 part("fill").addEventListener("click", () => {
   void step("mesh", { tetrahedra: Math.round(part<HTMLInputElement>("tetrahedra").valueAsNumber) || 0 });
 });

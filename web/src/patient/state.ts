@@ -67,6 +67,8 @@ export interface PatientState {
   readonly organs: readonly OrganSummary[];
   readonly mesh: MeshSummary | null;
   readonly started: boolean;
+  /** A start page comes after this one. */
+  readonly can_leave: boolean;
   readonly offers: {
     readonly tissues: readonly string[];
     readonly models: readonly { readonly name: string; readonly about: string }[];
@@ -91,7 +93,7 @@ export async function fetchState(): Promise<PatientState> {
   return (await asked("state")).json() as Promise<PatientState>;
 }
 
-export type Step = "open" | "values" | "organ" | "remove" | "mesh" | "start" | "cancel";
+export type Step = "open" | "values" | "organ" | "remove" | "mesh" | "start" | "cancel" | "leave";
 
 /** Begins a step of the server, or cancels the one that runs. */
 export async function post(step: Step, choice: object): Promise<void> {

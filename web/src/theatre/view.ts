@@ -61,8 +61,12 @@ export class Theatre implements OtherView {
   /** Number of the endoscope; null for a scene without. */
   endoscope: number | null = null;
   smear = 0;
+  private isDark = false;
   private metered_m = FURTHEST_EXPOSED_M;
-  private outside = true;
+  /** Whether the picture from outside is beside that of the endoscope. */
+  outside = true;
+  /** Whether scenes with an endoscope begin with its picture, where the page's address does not say. */
+  beginsOn = false;
   private eye: Eye | null = null;
   private circle: Circle = { x: 0, y: 0, radius: 1 };
   private hello: Hello | null = null;
@@ -74,7 +78,7 @@ export class Theatre implements OtherView {
 
   constructor(
     private readonly scene: Scene3d,
-    private readonly page: Pick<Page, "panel" | "toolbar" | "orientation" | "hint" | "outside">,
+    private readonly page: Pick<Page, "panel" | "toolbar" | "orientation" | "hint" | "outside"> & Partial<Pick<Page, "task">>,
   ) {
     this.lens = new LensPass(scene.software ? 0 : 4, this.distortion);
     this.cavity = newCavity(scene.tissue);
@@ -97,7 +101,8 @@ export class Theatre implements OtherView {
     this.eye = null;
     this.choose(chosen);
     placeCavity(this.cavity, hello);
-    const asked = isFirst && new URLSearchParams(window.location.search).get("view") === "theatre";
+    const view = new URLSearchParams(window.location.search).get("view");
+    const asked = isFirst && (view === null ? this.beginsOn : view === "theatre");
     this.turn((this.on || asked) && this.endoscope !== null);
   }
 
@@ -130,16 +135,19 @@ export class Theatre implements OtherView {
 
   /** The page's size or its buttons changed: the circle fills what they leave free. */
   layOut(): void {
-    const { panel, toolbar, outside } = this.page;
+    const { panel, toolbar, outside, task } = this.page;
     const [panelBox, toolbarBox] = [panel.getBoundingClientRect(), toolbar.getBoundingClientRect()];
+    // On a narrow page panel and task are above the picture.
+    const isAbove = panelBox.width > 0.6 * this.scene.width;
+    const top = isAbove ? Math.max(panelBox.bottom, task?.getBoundingClientRect().bottom ?? 0) : 0;
     const bottom = toolbarBox.height > 0 ? Math.min(toolbarBox.top, this.scene.height) : this.scene.height;
     const right = this.scene.width - this.scene.covered.right;
     const beside = (left: number): Circle => ({
       x: (left + right) / 2,
-      y: bottom / 2,
-      radius: Math.max(1, Math.min(right - left, bottom) / 2 - RIM),
+      y: (top + bottom) / 2,
+      radius: Math.max(1, Math.min(right - left, bottom - top) / 2 - RIM),
     });
-    const free = beside(Math.min(panelBox.right, 0.6 * this.scene.width));
+    const free = beside(isAbove ? 0 : Math.min(panelBox.right, 0.6 * this.scene.width));
     this.circle = free.radius < SMALLEST_RADIUS ? beside(0) : free;
     outside.hidden = !this.showsOutside;
     outside.style.bottom = `${this.scene.height - bottom + RIM}px`;
@@ -160,6 +168,13 @@ export class Theatre implements OtherView {
     this.camera.updateMatrixWorld();
     const isAtLens = tool.contact && new Vector3(...tool.contactPoint_m).distanceTo(position_m) < info.tip_radius_m + AT_LENS_M;
     if (isAtLens) this.smear = 1;
+  }
+
+  /** The lamp is out, or shines; answers whether that is new. */
+  setDark(isDark: boolean): boolean {
+    const isNew = isDark !== this.isDark;
+    this.isDark = isDark;
+    return isNew;
   }
 
   /** Angle of the picture that a pixel covers [rad]. */
@@ -202,7 +217,10 @@ export class Theatre implements OtherView {
     this.seenByEndoscope(true);
     renderer.setRenderTarget(this.lens.target);
     renderer.setClearColor(DEEP_RED, 1);
-    inLampLight(scene, () => renderer.render(scene, this.camera));
+    // Nothing but the lamp shines inside.
+    if (this.isDark) renderer.setClearColor(0x000000, 1);
+    if (this.isDark) renderer.clear();
+    else inLampLight(scene, () => renderer.render(scene, this.camera));
     renderer.setRenderTarget(null);
     this.seenByEndoscope(false);
     this.lens.draw(renderer, this.circle, this.scene.height, this.smear);

@@ -21,6 +21,7 @@ mod run;
 mod serve;
 mod patient;
 mod task;
+mod start;
 mod watch;
 mod device_page;
 mod devices;
@@ -55,6 +56,7 @@ enum Command {
     Serve(serve::Args),
     Patient(patient::Args),
     Task(task::Args),
+    Start(start::Args),
     Watch(watch::Args),
     Devices(devices::Args),
     Replay(replay::Args),
@@ -82,6 +84,7 @@ pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
         Command::Serve(args) => serve::run(args),
         Command::Patient(args) => patient::run(args),
         Command::Task(args) => task::run(args),
+        Command::Start(args) => start::run(args),
         Command::Watch(args) => watch::run(args),
         Command::Devices(args) => devices::run(args),
         Command::Replay(args) => replay::run(args),

@@ -36,12 +36,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         folder: args.out.clone().unwrap_or_else(free_folder),
         image: args.image.clone(),
         open: Box::new(open),
+        may_leave: false,
     };
     args.address.serve_patient(page, listener)
 }
 
 /// The first of out/patient, out/patient-2, ... that is not there.
-fn free_folder() -> PathBuf {
+pub(super) fn free_folder() -> PathBuf {
     let numbered = (2..).map(|number| PathBuf::from(format!("out/patient-{number}")));
     let mut folders = std::iter::once(PathBuf::from("out/patient")).chain(numbered);
     folders.find(|folder| !folder.exists()).expect("numbers do not end")

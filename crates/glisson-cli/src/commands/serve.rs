@@ -128,7 +128,7 @@ impl Address {
     }
 
     /// Says where the page is and opens a browser where there is a display; answers who may connect.
-    fn tell(&self, listener: &TcpListener) -> anyhow::Result<Access> {
+    pub(crate) fn tell(&self, listener: &TcpListener) -> anyhow::Result<Access> {
         let address = listener.local_addr()?;
         let access = Access::for_address(address.ip(), self.given_token())?;
         let page = server::page_address(address) + &access.address_suffix();
@@ -169,7 +169,17 @@ fn serve_until_stopped(
     listener: TcpListener,
     service: Service,
 ) -> anyhow::Result<()> {
-    let Served { ended, haptics } = server::serve(simulation, listener, service, stop_signal())?;
+    serve_until(simulation, listener, service, stop_signal())
+}
+
+/// Serves until `stop` comes or a page leaves, and says how it went.
+pub(super) fn serve_until(
+    simulation: Simulation,
+    listener: TcpListener,
+    service: Service,
+    stop: impl Future<Output = ()>,
+) -> anyhow::Result<()> {
+    let Served { ended, haptics, was_left } = server::serve(simulation, listener, service, stop)?;
     if let Some(haptics) = haptics {
         println!("{}", haptics.to_text());
     }
@@ -178,7 +188,8 @@ fn serve_until_stopped(
         let Lateness { n_given_up, left_out_s } = ended.lateness;
         println!("the simulation fell behind {n_given_up} times and left out {left_out_s:.1} s");
     }
-    println!("stopped; state hash {}", ended.state_hash);
+    let how = if was_left { "left" } else { "stopped" };
+    println!("{how}; state hash {}", ended.state_hash);
     Ok(())
 }
 

@@ -43,7 +43,7 @@ enum Verb {
 }
 
 /// A demonstration in the browser begins so late that one sees its beginning [s]: a choice.
-const DEMONSTRATION_WAITS_S: f64 = 3.0;
+pub(super) const DEMONSTRATION_WAITS_S: f64 = 3.0;
 
 #[derive(Debug, clap::Args)]
 struct Run {
@@ -101,7 +101,7 @@ fn list(as_json: bool) -> anyhow::Result<()> {
 }
 
 /// A task of the program, or a scene file with one.
-fn open(task: &str, n_threads: usize) -> anyhow::Result<OpenScene> {
+pub(super) fn open(task: &str, n_threads: usize) -> anyhow::Result<OpenScene> {
     let source = match task_named(task) {
         Some(text) => OpenScene {
             scene: Scene::parse(text).with_context(|| format!("the task {task}"))?,

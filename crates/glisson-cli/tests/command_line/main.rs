@@ -7,6 +7,7 @@ mod export;
 mod images;
 mod link;
 mod precompute;
+mod start;
 mod tasks;
 
 use std::path::Path;
@@ -85,6 +86,7 @@ fn help_and_wrong_command_lines() {
         "serve",
         "watch",
         "task",
+        "start",
         "devices",
         "replay",
         "export",

@@ -16,7 +16,7 @@ use serde_json::json;
 use std::future::poll_fn;
 use std::io::Write;
 use std::net::TcpListener;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::pin::Pin;
 use std::sync::Arc;
 
@@ -24,23 +24,13 @@ use super::image::{Image, series_of};
 use super::mesh_picture::{Colours, MeshView};
 use super::organ::OrganChoice;
 use super::scene::{SCENE_NAME, SceneChoice, meshes_in};
-use super::steps::{OpenSimulation, Shared, Source, Steps, begin, still};
+use super::steps::{PatientPage, Shared, Source, Steps, begin, still};
 use super::tetrahedra::Meshed;
 use super::upload::Upload;
 use crate::picture::SlicePlane;
 use crate::server::access::{self, Access};
 use crate::server::limits::Places;
 use crate::server::viewer_file;
-
-/// A page for one patient.
-pub struct PatientPage {
-    /// Where mesh and scene are written.
-    pub folder: PathBuf,
-    /// An image to begin with; else the page asks for one.
-    pub image: Option<PathBuf>,
-    /// Opens the simulation of the scene that was written.
-    pub open: OpenSimulation,
-}
 
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -73,7 +63,7 @@ fn open(shared: &Arc<Shared>, choice: &OpenChoice) -> Response {
             (Some(number), _) => Source { path: shared.upload.image(number)?, upload },
             (None, Some(before)) if chosen.is_some() => before,
             (None, _) => {
-                Source { path: shared.image.clone().context("there is no image yet")?, upload: None }
+                Source { path: shared.page.image.clone().context("there is no image yet")?, upload: None }
             }
         };
         let forget = |upload: Option<u64>| upload.iter().for_each(|number| shared.upload.forget(*number));
@@ -179,12 +169,23 @@ fn start(shared: &Arc<Shared>, choice: SceneChoice) -> Response {
     let mesh = shared.steps().mesh.clone();
     begin(shared, "starting the simulation", move |shared| {
         let mesh = mesh.context("there are no tetrahedra yet")?;
-        std::fs::create_dir_all(&shared.folder).with_context(|| shared.folder.display().to_string())?;
-        let scene = choice.write(&mesh.names, &mesh.bodies(), &shared.folder)?;
+        std::fs::create_dir_all(&shared.page.folder)
+            .with_context(|| shared.page.folder.display().to_string())?;
+        let scene = choice.write(&mesh.names, &mesh.bodies(), &shared.page.folder)?;
         tell(0.05);
-        let simulation = part(0.05, 1.0, || (shared.open)(&scene))?;
+        let simulation = part(0.05, 1.0, || (shared.page.open)(&scene))?;
         Ok(Box::new(move |steps: &mut Steps| steps.simulation = Some(simulation)))
     })
+}
+
+/// Ends the page without a simulation.
+fn leave(shared: &Shared) -> Response {
+    if !shared.page.may_leave {
+        return (StatusCode::NOT_FOUND, "nothing comes after this page\n").into_response();
+    }
+    shared.cancel();
+    shared.started.notify_one();
+    StatusCode::ACCEPTED.into_response()
 }
 
 /// What a picture that is drawn elsewhere became.
@@ -304,6 +305,7 @@ fn router(shared: Arc<Shared>, access: Access) -> Router {
         )
         .route("/mesh", post(|(State(s), axum::Json(c)): Asked<MeshChoice>| async move { fill(&s, &c) }))
         .route("/start", post(|(State(s), axum::Json(c)): Asked<SceneChoice>| async move { start(&s, c) }))
+        .route("/leave", post(|State(s): State<Arc<Shared>>| async move { leave(&s) }))
         .route(
             "/cancel",
             post(|State(s): State<Arc<Shared>>| async move {
@@ -313,6 +315,7 @@ fn router(shared: Arc<Shared>, access: Access) -> Router {
         );
     Router::new()
         .nest("/api/patient", steps)
+        .route("/api/page", get(|| async { axum::Json(json!({"page": "patient"})) }))
         .route("/api/patient/state", get(state))
         .route("/api/patient/files", post(begin_upload))
         .route("/api/patient/files/{image}/{name}", put(keep))
@@ -334,7 +337,7 @@ fn refuse_other_files(folder: &Path) -> anyhow::Result<()> {
     }
 }
 
-/// Serves the page until its simulation is ready, which is the answer, or until `stop` comes: then there is none.
+/// Serves the page until its simulation is ready, which is the answer, or until `stop` comes or the page is left: then there is none.
 ///
 /// # Errors
 /// A listener that cannot be used; a folder that holds a mesh or a scene.
@@ -344,11 +347,10 @@ pub fn serve(
     page: PatientPage,
     stop: impl Future<Output = ()>,
 ) -> anyhow::Result<Option<Simulation>> {
-    let PatientPage { folder, image, open: open_scene } = page;
-    refuse_other_files(&folder)?;
-    let upload = Upload::new(folder.join(format!("incoming-{}.partial", std::process::id())));
-    let has_image = image.is_some();
-    let shared = Arc::new(Shared::new(upload, folder, image, open_scene));
+    refuse_other_files(&page.folder)?;
+    let upload = Upload::new(page.folder.join(format!("incoming-{}.partial", std::process::id())));
+    let has_image = page.image.is_some();
+    let shared = Arc::new(Shared::new(upload, page));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let for_pages = Arc::clone(&shared);
     let stopped = runtime.block_on(async move {

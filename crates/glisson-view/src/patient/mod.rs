@@ -16,9 +16,9 @@ mod upload;
 mod steps;
 mod api;
 
-pub use api::{PatientPage, serve};
+pub use api::serve;
 pub use scene::SceneChoice;
-pub use steps::OpenSimulation;
+pub use steps::{OpenSimulation, PatientPage};
 
 #[cfg(test)]
 mod tests;

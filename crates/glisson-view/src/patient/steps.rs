@@ -26,6 +26,18 @@ const UNTIL_TOLD: Duration = Duration::from_secs(3);
 /// Opens the simulation of a scene.
 pub type OpenSimulation = Box<dyn Fn(&Path) -> anyhow::Result<Simulation> + Send + Sync>;
 
+/// A page for one patient.
+pub struct PatientPage {
+    /// Where mesh and scene are written.
+    pub folder: PathBuf,
+    /// An image to begin with; else the page asks for one.
+    pub image: Option<PathBuf>,
+    /// Opens the simulation of the scene that was written.
+    pub open: OpenSimulation,
+    /// The page may be left without a simulation: another one comes after it.
+    pub may_leave: bool,
+}
+
 /// How far the patient is.
 #[derive(Default)]
 pub(super) struct Steps {
@@ -64,10 +76,7 @@ struct Job {
 pub(super) struct Shared {
     steps: Mutex<Steps>,
     pub(super) upload: Upload,
-    /// The image that the program was started with.
-    pub(super) image: Option<PathBuf>,
-    pub(super) folder: PathBuf,
-    pub(super) open: OpenSimulation,
+    pub(super) page: PatientPage,
     pub(super) started: Notify,
 }
 
@@ -78,8 +87,8 @@ pub(super) type Change = Box<dyn FnOnce(&mut Steps) + Send>;
 type Outcome = Option<anyhow::Result<Change>>;
 
 impl Shared {
-    pub(super) fn new(upload: Upload, folder: PathBuf, image: Option<PathBuf>, open: OpenSimulation) -> Self {
-        Self { steps: Mutex::default(), upload, image, folder, open, started: Notify::new() }
+    pub(super) fn new(upload: Upload, page: PatientPage) -> Self {
+        Self { steps: Mutex::default(), upload, page, started: Notify::new() }
     }
 
     pub(super) fn steps(&self) -> MutexGuard<'_, Steps> {
@@ -134,6 +143,7 @@ impl Shared {
             "organs": summaries(steps.organs.list()),
             "mesh": steps.mesh.as_ref().map(|mesh| &mesh.summary),
             "started": steps.simulation.is_some(),
+            "can_leave": self.page.may_leave,
             "offers": {
                 "tissues": TISSUES.iter().map(|tissue| tissue.name).collect::<Vec<_>>(),
                 "models": MODELS.iter().map(|model| json!({"name": model.name, "about": model.about})).collect::<Vec<_>>(),

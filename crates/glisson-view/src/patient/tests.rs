@@ -96,7 +96,7 @@ fn page(out: &Path) -> (SocketAddr, JoinHandle<anyhow::Result<Option<Simulation>
     listener.set_nonblocking(true).unwrap();
     let address = listener.local_addr().unwrap();
     let open = |scene: &Path| Simulation::open(OpenScene::read(scene)?, None);
-    let page = PatientPage { folder: out.to_path_buf(), image: None, open: Box::new(open) };
+    let page = PatientPage { folder: out.to_path_buf(), image: None, open: Box::new(open), may_leave: true };
     let access = Access::for_address(address.ip(), None).unwrap();
     (address, std::thread::spawn(move || serve(listener, access, page, std::future::pending())))
 }
@@ -285,4 +285,24 @@ fn a_step_is_cancelled_and_leaves_what_was() {
     );
     // The next one is done as if nothing had been.
     assert_eq!(error_of(&done(address, "mesh", &json!({"tetrahedra": 800}))), "");
+}
+
+#[test]
+fn the_page_is_left_only_where_another_comes_after_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let (address, server) = page(&folder.path().join("out"));
+    assert_eq!(state(address)["can_leave"], true);
+    assert_eq!(post(address, "leave", &json!({})), 202);
+    assert!(server.join().unwrap().unwrap().is_none());
+
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let address = listener.local_addr().unwrap();
+    let open = |scene: &Path| Simulation::open(OpenScene::read(scene)?, None);
+    let folder = folder.path().join("alone");
+    let alone = PatientPage { folder, image: None, open: Box::new(open), may_leave: false };
+    let access = Access::for_address(address.ip(), None).unwrap();
+    let _alone = std::thread::spawn(move || serve(listener, access, alone, std::future::pending()));
+    assert_eq!(state(address)["can_leave"], false);
+    assert_eq!(post(address, "leave", &json!({})), 404);
 }

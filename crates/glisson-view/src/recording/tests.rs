@@ -146,7 +146,7 @@ fn what_is_read_is_what_was_shown_within_half_a_step() {
     assert_eq!((recording.n_frames, recording.n_changes, recording.most_vertices), (N_FRAMES, 2, 82));
     assert!(recording.largest_error_m <= 0.5 * SETTINGS.step_m * (1.0 + 1e-9));
     assert!((recording.duration_s - (N_FRAMES - 1) as f64 / 30.0).abs() < 1e-3);
-    let pace = Pace { rate_hz: 0.0, real_time_factor: 0.0, paused: false };
+    let pace = Pace::default();
     let (mut frame, mut shown) = (0, None);
     for found in frames_of(&recording.bytes).unwrap() {
         match found {

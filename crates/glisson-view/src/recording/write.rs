@@ -191,7 +191,7 @@ impl RecordingWriter {
         expected: &[Place],
         (head, tail): (&[u8], &[u8]),
     ) -> Last {
-        let pace = Pace { rate_hz: 0.0, real_time_factor: 0.0, paused: false };
+        let pace = Pace::default();
         let mut whole = frames::snapshot_frame(snapshot, &pace, None);
         let first = frames::first_position(snapshot.tools.len());
         let new_tail = whole.split_off(first + 12 * places.len());

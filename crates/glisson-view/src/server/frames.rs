@@ -137,7 +137,7 @@ mod tests {
     };
     use glisson::tool::ToolInput;
 
-    const PACE: Pace = Pace { rate_hz: 1000.0, real_time_factor: 1.0, paused: true };
+    const PACE: Pace = Pace { rate_hz: 1000.0, real_time_factor: 1.0, paused: true, slow_motion: None };
     /// Bytes of the frame of [`snapshot`] as long as nothing bleeds.
     const WITHOUT_BLOOD: usize = 64 + 2 * 152 + 9 * 4;
 

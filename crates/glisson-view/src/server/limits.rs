@@ -161,7 +161,7 @@ impl AsyncWrite for Connection {
 }
 
 /// What the API may still be asked, by all together.
-pub(super) struct Asked(Mutex<Allowance>);
+pub(crate) struct Asked(Mutex<Allowance>);
 
 impl Default for Asked {
     fn default() -> Self {
@@ -170,7 +170,7 @@ impl Default for Asked {
 }
 
 /// Answers questions to the API as often as a viewer may say something.
-pub(super) async fn guard_api(State(asked): State<Arc<Asked>>, request: Request, next: Next) -> Response {
+pub(crate) async fn guard_api(State(asked): State<Arc<Asked>>, request: Request, next: Next) -> Response {
     let n_bytes = request.uri().path().len();
     // Its numbers hold also after a panic.
     let may = asked.0.lock().unwrap_or_else(PoisonError::into_inner).spend(n_bytes, Instant::now());

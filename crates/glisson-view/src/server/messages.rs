@@ -204,6 +204,7 @@ pub(super) fn timing(published: &Published, at: HapticsAt, haptics: Option<&Hapt
     simulation["times_given_up"] = json!(lateness.n_given_up);
     simulation["left_out_s"] = json!(lateness.left_out_s);
     simulation["effort"] = json!(effort.name());
+    simulation["speed"] = json!(pace.slow_motion.unwrap_or(1.0));
     json!({
         "type": "timing",
         "simulation": simulation,
@@ -225,6 +226,8 @@ pub(super) enum Wish {
     ReleaseControl,
     /// Contact points are looked at, or no longer: for everyone.
     Contacts(bool),
+    /// The simulation ends, and the page that it was started from comes again.
+    Leave,
 }
 
 #[derive(Deserialize)]
@@ -244,6 +247,9 @@ enum ViewerMessage {
     },
     Pause {
         paused: bool,
+    },
+    Speed {
+        factor: f64,
     },
     SingleStep {},
     Reset {},
@@ -270,6 +276,7 @@ enum ViewerMessage {
         number: u32,
     },
     ReleaseControl {},
+    Leave {},
     Contacts {
         shown: bool,
     },
@@ -281,12 +288,16 @@ const FURTHEST_TIP_M: f64 = 100.0;
 /// Ten times that of the Earth: more is a mistyped number.
 const STRONGEST_GRAVITY_M_PER_S2: f64 = 100.0;
 
+/// Slower than this nothing seems to move: a choice.
+const SLOWEST: f64 = 0.05;
+
 /// What a viewer asks for, or why it cannot be understood.
 pub(super) fn wish(text: &str) -> Result<Wish, String> {
     let message: ViewerMessage =
         serde_json::from_str(text).map_err(|e| format!("message not understood: {e}"))?;
     Ok(Wish::Command(match message {
         ViewerMessage::ReleaseControl {} => return Ok(Wish::ReleaseControl),
+        ViewerMessage::Leave {} => return Ok(Wish::Leave),
         ViewerMessage::Contacts { shown } => return Ok(Wish::Contacts(shown)),
         ViewerMessage::Tool { tool, tip_m, shaft, roll_rad, jaw, trigger } => {
             let shaft_in_world = DVec3::from_array(shaft)
@@ -303,6 +314,10 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
             Command::Tool { tool, pose: ToolInput { roll_rad, jaw_opening: jaw, trigger, ..pose } }
         }
         ViewerMessage::Pause { paused } => Command::Pause(paused),
+        ViewerMessage::Speed { factor } if (SLOWEST..=1.0).contains(&factor) => Command::Speed(factor),
+        ViewerMessage::Speed { factor } => {
+            return Err(format!("\"factor\" is {factor}; allowed: between {SLOWEST} and 1"));
+        }
         ViewerMessage::SingleStep {} => Command::SingleStep,
         ViewerMessage::Reset {} => Command::Reset,
         ViewerMessage::Model { name } => {
@@ -413,6 +428,8 @@ mod tests {
         assert_eq!(command(r#"{"type":"undo"}"#), Ok(Command::Undo));
         assert_eq!(command(r#"{"type":"task_event","number":1}"#), Ok(Command::TaskEvent { number: 1 }));
         assert_eq!(wish(r#"{"type":"contacts","shown":true}"#), Ok(Wish::Contacts(true)));
+        assert_eq!(wish(r#"{"type":"leave"}"#), Ok(Wish::Leave));
+        assert_eq!(command(r#"{"type":"speed","factor":0.25}"#), Ok(Command::Speed(0.25)));
         let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
         assert_eq!(tilted, Ok(Command::Gravity(DVec3::new(0.0, 9.81, 0.0))));
         for bad in [
@@ -426,6 +443,9 @@ mod tests {
             r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,1],"jaw":2}"#,
             r#"{"type":"model","name":"jelly"}"#,
             r#"{"type":"contacts"}"#,
+            r#"{"type":"speed","factor":0}"#,
+            r#"{"type":"speed","factor":2}"#,
+            r#"{"type":"leave","now":true}"#,
             r#"{"type":"gravity","m_per_s2":[0,981,0]}"#,
         ] {
             assert!(command(bad).is_err(), "{bad}");

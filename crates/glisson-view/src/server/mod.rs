@@ -58,6 +58,8 @@ struct Shared {
     hands: Hands,
     /// What the haptic loop needs to see that they are home.
     homing: Duration,
+    /// Told when the simulation is to end; none where nothing comes after it.
+    leaving: Option<watch::Sender<bool>>,
 }
 
 /// What is served beside the simulation.
@@ -80,6 +82,8 @@ pub struct Service {
     pub stalls: Option<Stalls>,
     /// For tests of the page as a device: also told what it says about instrument 0.
     pub beside: Option<PageHand>,
+    /// The page in control may end the simulation: another page comes after it.
+    pub may_leave: bool,
 }
 
 impl Service {
@@ -95,6 +99,7 @@ impl Service {
             meters: Arc::default(),
             stalls: None,
             beside: None,
+            may_leave: false,
         }
     }
 }
@@ -105,6 +110,8 @@ pub struct Served {
     pub ended: Ended,
     /// Without a device there is no haptic loop.
     pub haptics: Option<HapticReport>,
+    /// A page ended it.
+    pub was_left: bool,
 }
 
 /// A bound but not yet serving address, so that a taken port is known before a long set-up.
@@ -126,10 +133,13 @@ pub fn serve(
     service: Service,
     stop: impl Future<Output = ()>,
 ) -> anyhow::Result<Served> {
-    let Service { access, held, haptics, remote, remote_figures, shows, meters, stalls, beside } = service;
+    let Service { access, held, haptics, remote, remote_figures, shows, meters, stalls, beside, may_leave } =
+        service;
     let (shown, published) = Shown::start(&simulation)?;
     let (commands, commands_out) = std::sync::mpsc::channel();
-    let hello = messages::hello(&simulation);
+    let mut hello = messages::hello(&simulation);
+    hello["can_leave"] = may_leave.into();
+    let leaving = may_leave.then(|| watch::Sender::new(false));
     let (mut held, mut links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
     let hands = held.iter_mut().zip(&links).filter_map(|(held, link): (&mut HeldTool, &ToolLink)| {
         held.take_page().map(|page| (link.tool, page))
@@ -160,6 +170,7 @@ pub fn serve(
         remote_figures,
         hands,
         homing,
+        leaving: leaving.clone(),
     });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let served = runtime.block_on(serve_pages(listener, shared, access, stop));
@@ -172,10 +183,11 @@ pub fn serve(
         // A panic was printed when it happened.
         let _ = show.join();
     }
-    served.and(ended).map(|ended| Served { ended, haptics })
+    let was_left = leaving.is_some_and(|leaving| *leaving.borrow());
+    served.and(ended).map(|ended| Served { ended, haptics, was_left })
 }
 
-/// Answers requests until `stop` comes or the simulation ends.
+/// Answers requests until `stop` comes, a page leaves, or the simulation ends.
 async fn serve_pages(
     listener: TcpListener,
     shared: Arc<Shared>,
@@ -183,12 +195,14 @@ async fn serve_pages(
     stop: impl Future<Output = ()>,
 ) -> anyhow::Result<()> {
     let mut alive = shared.published.clone();
+    let mut left = shared.leaving.as_ref().map(watch::Sender::subscribe);
     tokio::spawn(tell_hands(Arc::clone(&shared)));
     let listener = tokio::net::TcpListener::from_std(listener)?;
     let server = axum::serve(Places::new(listener), router(shared, access)).into_future();
     tokio::select! {
         result = server => result.context("the server stopped"),
         () = stop => Ok(()),
+        Some(()) = async { left.as_mut()?.wait_for(|left| *left).await.ok().map(|_| ()) } => Ok(()),
         // The channel closes when the simulation ends by itself: with an error.
         () = async { while alive.changed().await.is_ok() {} } => Ok(()),
     }
@@ -228,6 +242,7 @@ fn router(shared: Arc<Shared>, access: Access) -> Router {
         .route("/api/scene", get(scene))
         .route("/api/snapshot", get(latest_snapshot))
         .route("/api/task", get(task_result))
+        .route("/api/page", get(|| async { axum::Json(serde_json::json!({ "page": "viewer" })) }))
         .route("/report", get(report))
         .route_layer(from_fn_with_state(Arc::<limits::Asked>::default(), limits::guard_api));
     api.route("/ws", get(socket::open))
@@ -291,7 +306,7 @@ pub(crate) fn viewer_file(path: &str) -> Response {
     };
     match ViewerFiles::get(path) {
         Some(file) => ([(header::CONTENT_TYPE, content_type)], file.data.into_owned()).into_response(),
-        None if ["index.html", "patient.html"].contains(&path) => {
+        None if ["index.html", "patient.html", "start.html"].contains(&path) => {
             ([(header::CONTENT_TYPE, content_type)], NOT_BUILT).into_response()
         }
         None => (StatusCode::NOT_FOUND, format!("no file {path}\n")).into_response(),

@@ -235,10 +235,16 @@ impl Connection {
             }
             // Who teaches has no instrument in the hand, and need not be in control.
             Ok(Wish::Command(command @ Command::TaskEvent { .. })) => self.obey(command).await,
-            Ok(Wish::Command(command)) if self.seat.shared.control.may_control(self.seat.viewer) => {
-                self.obey(command).await;
+            Ok(Wish::Leave) if self.seat.shared.leaving.is_none() => {
+                self.say(messages::error("no page started this simulation: Ctrl-C ends the program")).await?;
             }
-            Ok(Wish::Command(_)) => {
+            Ok(Wish::Command(command)) if self.controls() => self.obey(command).await,
+            Ok(Wish::Leave) if self.controls() => {
+                self.seat.shared.leaving.iter().for_each(|leaving| {
+                    leaving.send_replace(true);
+                });
+            }
+            Ok(Wish::Command(_) | Wish::Leave) => {
                 if self.told.is_none_or(|told| told.elapsed() > TOLD_AGAIN) {
                     self.told = Some(Instant::now());
                     self.say(messages::error("another viewer has control; this one watches")).await?;
@@ -247,6 +253,11 @@ impl Connection {
             Err(reason) => self.say(messages::error(&reason)).await?,
         }
         Ok(())
+    }
+
+    /// Whether this viewer may steer; takes control where nobody has it.
+    fn controls(&self) -> bool {
+        self.seat.shared.control.may_control(self.seat.viewer)
     }
 
     /// The viewer controls.

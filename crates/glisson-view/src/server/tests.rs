@@ -36,6 +36,16 @@ impl Server {
         rate_hz: f64,
         held: impl FnOnce(&[Tool]) -> Vec<(HeldTool, ToolLink)>,
     ) -> Self {
+        Self::start_so(token, rate_hz, false, held)
+    }
+
+    /// The same, where the page in control may end it.
+    fn start_so(
+        token: Option<&str>,
+        rate_hz: f64,
+        may_leave: bool,
+        held: impl FnOnce(&[Tool]) -> Vec<(HeldTool, ToolLink)>,
+    ) -> Self {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("body.tet"), MESH).unwrap();
         std::fs::write(folder.path().join("scene.toml"), SCENE).unwrap();
@@ -50,7 +60,7 @@ impl Server {
         let has_loop = !held.is_empty();
         let thread = std::thread::spawn(move || {
             let haptics = HapticSettings { rate_hz, ..HapticSettings::default() };
-            let service = Service { held, haptics, ..Service::to(access) };
+            let service = Service { held, haptics, may_leave, ..Service::to(access) };
             serve(simulation, listener, service, async { drop(stopped.await) })
         });
         Self { address, stop: Some(stop), thread: Some(thread), has_loop }
@@ -89,7 +99,9 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         let _ = self.stop.take().map(|stop| stop.send(()));
-        let served = self.thread.take().unwrap().join().unwrap().unwrap();
+        // One that was left ended before.
+        let Some(thread) = self.thread.take() else { return };
+        let served = thread.join().unwrap().unwrap();
         assert_eq!(served.haptics.is_some(), self.has_loop);
     }
 }
@@ -417,4 +429,27 @@ fn the_api_answers_so_often_and_then_says_that_it_was_too_often() {
         assert!(begin.elapsed() < Duration::from_secs(10));
         std::thread::sleep(Duration::from_millis(10));
     }
+}
+
+#[test]
+fn only_the_page_in_control_ends_the_simulation_and_only_where_a_page_comes_after_it() {
+    let server = Server::start(None);
+    let mut viewer = server.connect();
+    assert_eq!(viewer.hear("hello")["can_leave"], false);
+    viewer.say(r#"{"type":"leave"}"#);
+    assert!(viewer.hear("error")["message"].as_str().unwrap().contains("Ctrl-C"));
+    drop(server);
+
+    let mut server = Server::start_so(None, 1_000.0, true, |_| Vec::new());
+    let (mut first, mut second) = (server.connect(), server.connect());
+    assert_eq!(first.hear("hello")["can_leave"], true);
+    assert_eq!(first.role(), "controller");
+    assert_eq!(second.role(), "viewer");
+    second.say(r#"{"type":"leave"}"#);
+    assert!(second.hear("error")["message"].as_str().unwrap().contains("another viewer has control"));
+    first.hear("timing");
+    first.say(r#"{"type":"leave"}"#);
+    first.end();
+    let served = server.thread.take().unwrap().join().unwrap().unwrap();
+    assert!(served.was_left && served.ended.steps > 0);
 }

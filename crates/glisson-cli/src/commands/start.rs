@@ -1,0 +1,248 @@
+//! `glisson start`.
+
+use super::patient::free_folder;
+use super::serve::{Address, serve_until};
+use super::task;
+use anyhow::Context;
+use glisson::progress::tell;
+use glisson_runtime::script::PathScript;
+use glisson_runtime::{OpenScene, Simulation};
+use glisson_view::patient::{self, PatientPage};
+use glisson_view::server::access::Access;
+use glisson_view::server::{Service, stop_signal};
+use glisson_view::start::{self, Choice, Chosen, StartPage};
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use tokio::sync::watch;
+
+/// Where scenes are looked for when nothing else is said.
+const USUAL_FOLDERS: [&str; 2] = [".", "out"];
+
+/// Choose a task, a scene or a new patient in the browser, one after the other.
+///
+/// The page lists the tasks that come with the program and the scene files of some folders. What is chosen is served at the same
+/// address; from there a button leads back to the page. Each simulation is recorded.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  glisson start\n  glisson start --scenes my_scenes --out out/sessions\n  \
+    glisson start --port 0 --host 0.0.0.0     for other machines, with a token that is printed\n\nStop with Ctrl-C; a recording is then completed."
+)]
+pub(crate) struct Args {
+    /// Folder with scene files, which is looked through three levels deep; may be given several times [default: the working folder and
+    /// out/]
+    #[arg(long, value_name = "DIR")]
+    scenes: Vec<PathBuf>,
+    /// Folder for the sessions; none is overwritten
+    #[arg(long, default_value = "out/sessions", value_name = "DIR")]
+    out: PathBuf,
+    /// Threads of models that can use several; the results do not depend on it
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
+    threads: u8,
+    #[command(flatten)]
+    address: Address,
+}
+
+/// Ctrl-C or SIGTERM, heard at any time: also between two servers.
+struct Stop(watch::Receiver<bool>);
+
+impl Stop {
+    fn listen() -> anyhow::Result<Self> {
+        let (came, comes) = watch::channel(false);
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        std::thread::Builder::new().name("stop signal".into()).spawn(move || {
+            runtime.block_on(stop_signal());
+            came.send_replace(true);
+        })?;
+        Ok(Self(comes))
+    }
+
+    fn came(&self) -> bool {
+        *self.0.borrow()
+    }
+
+    async fn comes(&self) {
+        if self.0.clone().wait_for(|came| *came).await.is_err() {
+            // Nobody can say it any more.
+            std::future::pending::<()>().await;
+        }
+    }
+}
+
+/// Makes what was chosen, and records it.
+struct Opener {
+    out: PathBuf,
+    n_threads: usize,
+}
+
+impl Opener {
+    fn open(&self, choice: &Choice) -> anyhow::Result<Simulation> {
+        match choice {
+            Choice::Scene { path } => self.open_scene(path),
+            Choice::Task { name, demonstrate } => {
+                let source = task::open(name, self.n_threads)?;
+                let script = if *demonstrate {
+                    let paths = PathScript::new(source.scene.clone(), task::DEMONSTRATION_WAITS_S);
+                    Some(paths.context("the task has no demonstration")?)
+                } else {
+                    None
+                };
+                let mut simulation = self.record(source, name)?;
+                if let Some(script) = script {
+                    simulation.follow_script(Box::new(script));
+                }
+                Ok(simulation)
+            }
+        }
+    }
+
+    fn open_scene(&self, path: &Path) -> anyhow::Result<Simulation> {
+        let source = OpenScene { n_threads: self.n_threads, ..OpenScene::read(path)? };
+        self.record(source, &session_name(path))
+    }
+
+    fn record(&self, source: OpenScene, name: &str) -> anyhow::Result<Simulation> {
+        std::fs::create_dir_all(&self.out)
+            .with_context(|| format!("{}: cannot make the folder for sessions", self.out.display()))?;
+        let (session, folder) = (free_session(&self.out, name), source.folder.clone());
+        let mut unwanted = Unwanted(Some(session.with_extension("jsonl.partial")));
+        let simulation = Simulation::open(source, Some(&session))?;
+        // Where it was cancelled meanwhile, this does not come back.
+        tell(1.0);
+        unwanted.0 = None;
+        println!("session: glisson replay {} --folder {}", session.display(), folder.display());
+        Ok(simulation)
+    }
+}
+
+/// A session that nobody wants any more when what it is of was cancelled.
+struct Unwanted(Option<PathBuf>);
+
+impl Drop for Unwanted {
+    fn drop(&mut self) {
+        // Mostly it was not begun yet.
+        self.0.iter().for_each(|partial| drop(std::fs::remove_file(partial)));
+    }
+}
+
+/// What the session of a scene is called: after its file, or after its folder where the file is called as most are.
+fn session_name(scene: &Path) -> String {
+    let text = |part: Option<&std::ffi::OsStr>| part.map(|part| part.to_string_lossy().into_owned());
+    let stem = text(scene.file_stem()).filter(|stem| stem != "scene");
+    stem.or_else(|| text(scene.parent()?.file_name())).unwrap_or_else(|| "scene".into())
+}
+
+/// The first of NAME.jsonl, NAME-2.jsonl, ... that is not there, whole or in part.
+fn free_session(folder: &Path, name: &str) -> PathBuf {
+    let numbered = (2..).map(|number| format!("{name}-{number}"));
+    let mut names = std::iter::once(name.to_owned()).chain(numbered);
+    let is_free = |path: &PathBuf| !path.exists() && !path.with_extension("jsonl.partial").exists();
+    names
+        .find_map(|name| Some(folder.join(format!("{name}.jsonl"))).filter(is_free))
+        .expect("numbers do not end")
+}
+
+impl Args {
+    fn folders(&self) -> anyhow::Result<Vec<PathBuf>> {
+        for folder in &self.scenes {
+            anyhow::ensure!(folder.is_dir(), "--scenes {}: no such folder", folder.display());
+        }
+        let usual =
+            || USUAL_FOLDERS.map(PathBuf::from).into_iter().filter(|folder| folder.is_dir()).collect();
+        Ok(if self.scenes.is_empty() { usual() } else { self.scenes.clone() })
+    }
+
+    fn opener(&self) -> Opener {
+        Opener { out: self.out.clone(), n_threads: usize::from(self.threads) }
+    }
+
+    /// The page, and what is started from it; none when the program is to end.
+    fn choose(
+        &self,
+        turn: &Turn<'_>,
+        folders: &[PathBuf],
+        error: Option<String>,
+    ) -> anyhow::Result<Option<Chosen>> {
+        let opener = self.opener();
+        let page =
+            StartPage { folders: folders.to_vec(), open: Box::new(move |choice| opener.open(choice)), error };
+        start::serve(turn.listener.try_clone()?, turn.access.clone(), page, turn.stop.comes())
+    }
+
+    /// A new patient, and the simulation that comes of it.
+    fn bring_in(&self, turn: &Turn<'_>) -> anyhow::Result<()> {
+        let opener = self.opener();
+        let page = PatientPage {
+            folder: free_folder(),
+            image: None,
+            open: Box::new(move |scene| opener.open_scene(scene)),
+            may_leave: true,
+        };
+        let listener = turn.listener.try_clone()?;
+        match patient::serve(listener, turn.access.clone(), page, turn.stop.comes())? {
+            Some(simulation) => turn.simulate(simulation),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Where everything is served, one after the other.
+struct Turn<'a> {
+    listener: &'a TcpListener,
+    access: &'a Access,
+    stop: &'a Stop,
+}
+
+impl Turn<'_> {
+    fn simulate(&self, simulation: Simulation) -> anyhow::Result<()> {
+        let service = Service { may_leave: true, ..Service::to(self.access.clone()) };
+        serve_until(simulation, self.listener.try_clone()?, service, self.stop.comes())
+    }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let folders = args.folders()?;
+    let listener = args.address.bind()?;
+    let stop = Stop::listen()?;
+    let access = args.address.tell(&listener)?;
+    let turn = Turn { listener: &listener, access: &access, stop: &stop };
+    let mut error = None;
+    while let Some(chosen) = args.choose(&turn, &folders, error.take())? {
+        let ended = match chosen {
+            Chosen::Simulation(simulation) => turn.simulate(*simulation),
+            Chosen::Patient => args.bring_in(&turn),
+        };
+        match ended {
+            Err(fault) if stop.came() => return Err(fault),
+            Err(fault) => {
+                eprintln!("error: {fault:#}");
+                error = Some(format!("{fault:#}"));
+            }
+            Ok(()) if stop.came() => return Ok(()),
+            Ok(()) => {}
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sessions_are_called_after_their_scenes_and_none_is_overwritten() {
+        for (scene, expected) in [
+            ("out/demo/scene.toml", "demo"),
+            ("out/demo/bed.toml", "bed"),
+            ("scene.toml", "scene"),
+            ("./scene.toml", "scene"),
+        ] {
+            assert_eq!(session_name(Path::new(scene)), expected, "{scene}");
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let free = || free_session(folder.path(), "demo").file_name().unwrap().to_str().unwrap().to_owned();
+        assert_eq!(free(), "demo.jsonl");
+        std::fs::write(folder.path().join("demo.jsonl"), "").unwrap();
+        std::fs::write(folder.path().join("demo-2.jsonl.partial"), "").unwrap();
+        assert_eq!(free(), "demo-3.jsonl");
+    }
+}

@@ -1,0 +1,65 @@
+/** The lists of what can be started. */
+import { text } from "../language";
+import { clockText } from "../task";
+import type { SceneOffer, TaskOffer } from "./offers";
+
+export type Begin = (what: "task" | "scene", choice: object) => void;
+
+function element<K extends keyof HTMLElementTagNameMap>(name: K, className = "", words = ""): HTMLElementTagNameMap[K] {
+  const node = document.createElement(name);
+  node.className = className;
+  node.textContent = words;
+  return node;
+}
+
+/** A button whose name tells a screen reader what it starts. */
+function beginning(words: string, whole: string, press: () => void): HTMLButtonElement {
+  const button = element("button", "begins", words);
+  button.type = "button";
+  button.setAttribute("aria-label", whole);
+  button.addEventListener("click", press);
+  return button;
+}
+
+/** `7 stages, at most 3:00`. */
+export function taskFacts(task: Pick<TaskOffer, "stages" | "time_limit_s">): string {
+  const { length } = task.stages;
+  const stages = length === 1 ? text("start_one_stage") : text("start_stages", { n: length });
+  return `${stages}, ${text("start_time", { time: clockText(task.time_limit_s) })}`;
+}
+
+export function taskItem(task: TaskOffer, begin: Begin): HTMLLIElement {
+  const item = element("li");
+  const stages = element("ol", "stages");
+  stages.append(...task.stages.map((stage) => element("li", "", stage)));
+  const whole = element("details");
+  whole.append(element("summary", "", taskFacts(task)), stages);
+  const buttons = element("div", "buttons");
+  const { name, title } = task;
+  buttons.append(beginning(text("start_go"), text("start_go_with", { what: title }), () => begin("task", { name })));
+  if (task.has_demonstration) {
+    const watch = beginning(text("start_watch"), text("start_watch_with", { what: title }), () => begin("task", { name, demonstrate: true }));
+    watch.classList.add("second");
+    buttons.append(watch);
+  }
+  item.append(element("h3", "", title), element("p", "", task.about), whole, buttons);
+  item.dataset.task = name;
+  return item;
+}
+
+export function sceneItem(scene: SceneOffer, begin: Begin): HTMLLIElement {
+  const item = element("li");
+  const words = element("div", "words");
+  words.append(element("h3", "", scene.name ?? scene.file));
+  if (scene.name !== null) words.append(element("span", "file", scene.file));
+  if (scene.task !== null) words.append(element("span", "dim", text("start_has_task", { title: scene.task })));
+  item.append(words);
+  if (scene.error === null) {
+    const whole = text("start_go_with", { what: scene.name === null ? scene.file : `${scene.name}, ${scene.file}` });
+    item.append(beginning(text("start_go"), whole, () => begin("scene", { file: scene.file })));
+  } else {
+    words.append(element("span", "problem", text("start_broken", { error: scene.error })));
+  }
+  item.dataset.scene = scene.file;
+  return item;
+}

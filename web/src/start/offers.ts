@@ -1,0 +1,41 @@
+/** What the program offers, and how it is asked to start something (crates/glisson-view/src/start). */
+
+export interface TaskOffer {
+  readonly name: string;
+  readonly title: string;
+  readonly about: string;
+  readonly stages: readonly string[];
+  readonly time_limit_s: number;
+  readonly has_demonstration: boolean;
+}
+
+export interface SceneOffer {
+  readonly file: string;
+  readonly name: string | null;
+  /** Title of its task. */
+  readonly task: string | null;
+  /** Why it cannot be read. */
+  readonly error: string | null;
+}
+
+export interface Offers {
+  readonly tasks: readonly TaskOffer[];
+  readonly scenes: readonly SceneOffer[];
+  readonly folders: readonly string[];
+  /** There may be more scenes. */
+  readonly is_cut: boolean;
+}
+
+/** @throws Error with the program's words. */
+export async function fetchOffers(): Promise<Offers> {
+  const answer = await fetch("api/start", { cache: "no-store" });
+  if (!answer.ok) throw new Error((await answer.text()).trim());
+  return (await answer.json()) as Offers;
+}
+
+/** Asks to start something. @throws Error with the program's words where it does not. */
+export async function begin(what: "task" | "scene" | "patient" | "cancel", choice: object): Promise<void> {
+  const headers = { "Content-Type": "application/json" };
+  const answer = await fetch(`api/start/${what}`, { method: "POST", headers, body: JSON.stringify(choice) });
+  if (!answer.ok) throw new Error((await answer.text()).trim());
+}

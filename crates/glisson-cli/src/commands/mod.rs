@@ -20,12 +20,15 @@ mod fit;
 mod run;
 mod serve;
 mod patient;
-mod task;
 mod watch;
 mod device_page;
 mod devices;
 mod replay;
 mod export;
+mod results_text;
+mod results;
+mod task_keeping;
+mod task;
 mod bench;
 mod validate;
 mod demo;
@@ -55,6 +58,7 @@ enum Command {
     Serve(serve::Args),
     Patient(patient::Args),
     Task(task::Args),
+    Results(results::Args),
     Watch(watch::Args),
     Devices(devices::Args),
     Replay(replay::Args),
@@ -82,6 +86,7 @@ pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
         Command::Serve(args) => serve::run(args),
         Command::Patient(args) => patient::run(args),
         Command::Task(args) => task::run(args),
+        Command::Results(args) => results::run(args),
         Command::Watch(args) => watch::run(args),
         Command::Devices(args) => devices::run(args),
         Command::Replay(args) => replay::run(args),

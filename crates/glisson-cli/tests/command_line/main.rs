@@ -7,13 +7,21 @@ mod export;
 mod images;
 mod link;
 mod precompute;
+mod results;
 mod tasks;
 
 use std::path::Path;
 use std::process::{Command, Output};
 
 fn glisson(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_glisson")).args(arguments).current_dir(folder).output().unwrap()
+    command(folder, arguments).output().unwrap()
+}
+
+/// Stores no results where the user of this machine has them.
+fn command(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_glisson"));
+    command.args(arguments).current_dir(folder).env_remove("GLISSON_RESULTS");
+    command
 }
 
 fn files(folder: &Path) -> Vec<String> {
@@ -85,6 +93,7 @@ fn help_and_wrong_command_lines() {
         "serve",
         "watch",
         "task",
+        "results",
         "devices",
         "replay",
         "export",

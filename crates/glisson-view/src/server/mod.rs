@@ -8,7 +8,7 @@ pub mod frames;
 pub(crate) mod messages;
 mod socket;
 
-use crate::report::task_report;
+use crate::report::{ReportContext, task_report};
 use access::Access;
 use anyhow::Context;
 use axum::Router;
@@ -18,6 +18,7 @@ use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use glisson::training::task::TaskRecord;
+use glisson_results::Comparison;
 use glisson_runtime::Simulation;
 use glisson_runtime::control::Control;
 use glisson_runtime::haptic_loop::{HapticLoop, HapticReport, HapticSettings, HeldTool, Meters, ToolLink};
@@ -58,7 +59,11 @@ struct Shared {
     hands: Hands,
     /// What the haptic loop needs to see that they are home.
     homing: Duration,
+    compare: Option<Compare>,
 }
+
+/// Answers the place of a task's result beside others, or why there is none.
+pub type Compare = Box<dyn Fn(&TaskRecord) -> Result<Comparison, String> + Send + Sync>;
 
 /// What is served beside the simulation.
 pub struct Service {
@@ -80,6 +85,8 @@ pub struct Service {
     pub stalls: Option<Stalls>,
     /// For tests of the page as a device: also told what it says about instrument 0.
     pub beside: Option<PageHand>,
+    /// What the report of a task compares its result with.
+    pub compare: Option<Compare>,
 }
 
 impl Service {
@@ -95,6 +102,7 @@ impl Service {
             meters: Arc::default(),
             stalls: None,
             beside: None,
+            compare: None,
         }
     }
 }
@@ -126,7 +134,8 @@ pub fn serve(
     service: Service,
     stop: impl Future<Output = ()>,
 ) -> anyhow::Result<Served> {
-    let Service { access, held, haptics, remote, remote_figures, shows, meters, stalls, beside } = service;
+    let Service { access, held, haptics, remote, remote_figures, shows, meters, stalls, beside, compare } =
+        service;
     let (shown, published) = Shown::start(&simulation)?;
     let (commands, commands_out) = std::sync::mpsc::channel();
     let hello = messages::hello(&simulation);
@@ -160,6 +169,7 @@ pub fn serve(
         remote_figures,
         hands,
         homing,
+        compare,
     });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let served = runtime.block_on(serve_pages(listener, shared, access, stop));
@@ -274,7 +284,18 @@ async fn task_result(State(shared): State<Arc<Shared>>) -> Response {
 }
 
 async fn report(State(shared): State<Arc<Shared>>) -> Response {
-    let html = assessed(shared, |record| task_report(record, &record.result(), Some("/"))).await;
+    let with = Arc::clone(&shared);
+    let html = assessed(shared, move |record| {
+        let compared = with.compare.as_ref().map(|compare| compare(record));
+        let comparison = compared.as_ref().and_then(|compared| compared.as_ref().ok());
+        let note = compared.as_ref().and_then(|compared| compared.as_ref().err()).map(String::as_str);
+        task_report(
+            record,
+            &record.result(),
+            &ReportContext { back: Some("/"), comparison, note, replay: None },
+        )
+    });
+    let html = html.await;
     html.map(axum::response::Html).into_response()
 }
 

@@ -1,0 +1,189 @@
+//! Storing the results of a task: of a run without a window at its end, of one in the browser at each end of the task.
+
+use super::results::Database;
+use crate::text_file::write_text;
+use anyhow::{Context, bail};
+use glisson::training::task::{TaskRecord, TaskResult};
+use glisson_results::attempt::scene_hash;
+use glisson_results::name::checked_name;
+use glisson_results::utc::utc_text;
+use glisson_results::{Attempt, Comparison, Kept, Store};
+use glisson_runtime::published::Published;
+use glisson_view::server::{Compare, Show};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// Whose results are stored, where, and what they are compared with.
+#[derive(Debug, clap::Args)]
+pub(super) struct KeepingArgs {
+    /// Store the result as this person's: a name or a pseudonym. Without, nothing is stored
+    #[arg(long, value_name = "NAME")]
+    pub(super) person: Option<String>,
+    #[command(flatten)]
+    database: Database,
+    /// The report compares with the quartiles of this group (`glisson results group`)
+    #[arg(long, value_name = "NAME", requires = "person")]
+    group: Option<String>,
+}
+
+/// The time now, as results have it.
+pub(super) fn now_text() -> String {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    utc_text(i64::try_from(since.as_millis()).unwrap_or(0))
+}
+
+/// The same time for a file's name.
+pub(super) fn time_in_names(text: &str) -> String {
+    text.chars().filter(char::is_ascii_alphanumeric).collect()
+}
+
+impl KeepingArgs {
+    /// Who did what; it is over now.
+    pub(super) fn attempt(&self, task: &str, scene_text: &str, session: &Path) -> anyhow::Result<Attempt> {
+        let session = std::path::absolute(session).unwrap_or_else(|_| session.into());
+        Ok(Attempt {
+            person: self.person.as_deref().map(checked_name).transpose().context("--person")?,
+            task: task.to_owned(),
+            scene_hash: scene_hash(scene_text),
+            finished_at: now_text(),
+            seed: None,
+            level: None,
+            session: Some(session.display().to_string()),
+        })
+    }
+
+    /// Opens the database before the work: what is wrong with it is better known then. None without a person.
+    pub(super) fn keeper(&self, attempt: &Attempt, folder: &Path) -> anyhow::Result<Option<Arc<Keeper>>> {
+        if self.person.is_none() {
+            return Ok(None);
+        }
+        let store = Store::open(&self.database.path())?;
+        if let Some(group) = &self.group {
+            store.members(group)?;
+        }
+        let (attempt, group, folder) = (attempt.clone(), self.group.clone(), folder.to_path_buf());
+        let state = Mutex::new(State { store, kept: Vec::new() });
+        Ok(Some(Arc::new(Keeper { attempt, group, folder, state })))
+    }
+}
+
+/// Stores each attempt once, whoever comes with it first.
+pub(super) struct Keeper {
+    /// Of all attempts, but for when they ended.
+    attempt: Attempt,
+    group: Option<String>,
+    /// Where results go that cannot be stored.
+    folder: PathBuf,
+    state: Mutex<State>,
+}
+
+struct State {
+    store: Store,
+    /// When the attempts began, by the bits of the simulated time [s], and their numbers, or why they have none.
+    kept: Vec<(u64, Result<i64, String>)>,
+}
+
+impl Keeper {
+    fn state(&self) -> MutexGuard<'_, State> {
+        // A panic in between leaves a store that wrote all or nothing.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Stores an attempt, or writes it to a file; its number, or where it is and why. None before an instrument moved.
+    pub(super) fn keep(&self, record: &TaskRecord) -> Option<Result<i64, String>> {
+        let began = record.began_s()?.to_bits();
+        let mut state = self.state();
+        if let Some((_, kept)) = state.kept.iter().find(|(known, _)| *known == began) {
+            return Some(kept.clone());
+        }
+        let kept = self.store(&mut state.store, &record.result());
+        let person = self.attempt.person.as_deref().unwrap_or_default();
+        match &kept {
+            Ok(id) => eprintln!("stored as result {id} of {person} in {}", state.store.file().display()),
+            Err(why) => eprintln!("error: {why}"),
+        }
+        state.kept.push((began, kept.clone()));
+        Some(kept)
+    }
+
+    fn store(&self, store: &mut Store, result: &TaskResult) -> Result<i64, String> {
+        let attempt = Attempt { finished_at: now_text(), ..self.attempt.clone() };
+        let result =
+            serde_json::to_value(result).map_err(|error| format!("the result is no JSON: {error}"))?;
+        let kept = Kept { attempt, result };
+        let error = match store.add(&kept) {
+            Ok(added) => return Ok(added.id()),
+            Err(error) => error,
+        };
+        let name =
+            format!("{}_{}_not_stored.json", kept.attempt.task, time_in_names(&kept.attempt.finished_at));
+        let file = self.folder.join(name);
+        let text = serde_json::to_string_pretty(&kept).unwrap_or_default();
+        Err(match write_text(&file, &format!("{text}\n")) {
+            Ok(()) => {
+                let file = file.display();
+                format!(
+                    "the result is not stored: {error}. It is in {file}; later: glisson results import {file}"
+                )
+            }
+            Err(other) => format!("the result is lost: {error}; and {other:#}"),
+        })
+    }
+
+    /// The attempt beside others.
+    pub(super) fn compare(&self, record: &TaskRecord) -> Result<Comparison, String> {
+        let id = self.keep(record).ok_or("no instrument has moved: there is nothing to store")??;
+        self.state()
+            .store
+            .compare(id, self.group.as_deref())
+            .map_err(|error| format!("the result is not compared: {error}"))
+    }
+
+    /// What the server's report asks for.
+    pub(super) fn comparing(self: &Arc<Self>) -> Compare {
+        let keeper = Arc::clone(self);
+        Box::new(move |record| keeper.compare(record))
+    }
+
+    /// Stores attempts as they end, beside the simulation: on a thread of its own, until the simulation is over.
+    pub(super) fn watching(self: &Arc<Self>) -> Show {
+        let keeper = Arc::clone(self);
+        Box::new(move |mut published, _| {
+            let watch = move || {
+                let runtime = tokio::runtime::Builder::new_current_thread().build();
+                let Ok(runtime) = runtime else {
+                    return eprintln!("error: results cannot be stored: no runtime");
+                };
+                runtime.block_on(async {
+                    // What was published last is there when the channel has closed, too.
+                    while published.changed().await.is_ok() {
+                        let state = Arc::clone(&published.borrow_and_update());
+                        keeper.keep_ended(&state);
+                    }
+                    let state = Arc::clone(&published.borrow());
+                    keeper.keep_ended(&state);
+                });
+            };
+            Ok(std::thread::Builder::new().name("results".into()).spawn(watch)?)
+        })
+    }
+
+    fn keep_ended(&self, state: &Published) {
+        for record in state.task_before.iter().chain(&state.task_record) {
+            self.keep(record);
+        }
+    }
+
+    /// At the end.
+    ///
+    /// # Errors
+    /// Where an attempt could not be stored, which was told then.
+    pub(super) fn finish(&self) -> anyhow::Result<()> {
+        let n_failed = self.state().kept.iter().filter(|(_, kept)| kept.is_err()).count();
+        if n_failed > 0 {
+            bail!("{n_failed} results are not in the database {}", self.state().store.file().display());
+        }
+        Ok(())
+    }
+}

@@ -2,8 +2,7 @@
 
 use crate::attempt::KeptError;
 use crate::name::NameError;
-use crate::schema::SCHEMA_VERSION;
-use crate::store::BUSY_S;
+use crate::settings::{BUSY_S, SCHEMA_VERSION};
 use rusqlite::ErrorCode;
 use std::path::{Path, PathBuf};
 
@@ -21,14 +20,12 @@ pub enum StoreError {
     },
     /// It can be neither opened nor made.
     #[error(
-        "{}: the database cannot be opened or made ({cause}); make its folder, get the right to write there, or give another \
-         place with --database FILE", file.display()
+        "{}: the database cannot be opened or made; make its folder, get the right to write there, or give another place with \
+         --database FILE", file.display()
     )]
     NotOpened {
         /// The database.
         file: PathBuf,
-        /// What SQLite said.
-        cause: String,
     },
     /// Some other file.
     #[error("{}: found {found}, which is no database of results; give another place with --database FILE", file.display())]
@@ -119,7 +116,7 @@ impl StoreError {
             Some(ErrorCode::DiskFull) => Self::Full { file },
             Some(ErrorCode::ReadOnly) => Self::ReadOnly { file },
             Some(ErrorCode::NotADatabase) => Self::Foreign { file, found: "a file of another kind" },
-            Some(ErrorCode::CannotOpen) => Self::NotOpened { file, cause: cause.to_string() },
+            Some(ErrorCode::CannotOpen) => Self::NotOpened { file },
             Some(ErrorCode::DatabaseCorrupt) => Self::Damaged { file, cause: cause.to_string() },
             _ => Self::Other { file, cause },
         }

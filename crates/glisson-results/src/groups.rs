@@ -87,7 +87,8 @@ impl Store {
                     WHERE person.name = ?1 AND scene_hash = ?2 AND is_passed ORDER BY finished_at DESC, result.id DESC LIMIT 1";
         let mut results = Vec::new();
         for member in self.members(group)?.iter().filter(|member| *member != but) {
-            let found = self.connection.query_row(last, [member.as_str(), scene_hash], |row| row.get::<_, i64>(0));
+            let found =
+                self.connection.query_row(last, [member.as_str(), scene_hash], |row| row.get::<_, i64>(0));
             results.extend(found.optional().map_err(|cause| self.failed(cause))?);
         }
         Ok(results)

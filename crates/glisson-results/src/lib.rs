@@ -12,6 +12,7 @@ pub mod utc;
 pub mod name;
 pub mod attempt;
 pub mod statistics;
+mod settings;
 pub mod error;
 mod schema;
 pub mod store;

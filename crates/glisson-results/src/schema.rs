@@ -1,14 +1,9 @@
 //! The tables (docs/results.md), and how a file comes to have them.
 
 use crate::error::StoreError;
+use crate::settings::{APPLICATION_ID, SCHEMA_VERSION};
 use rusqlite::{Connection, TransactionBehavior};
 use std::path::Path;
-
-/// Version of the tables; stands in the file (`PRAGMA user_version`).
-pub(crate) const SCHEMA_VERSION: i64 = 1;
-
-/// Tells the file from other programs' databases (`PRAGMA application_id`): "GLRS".
-const APPLICATION_ID: i64 = 0x474C_5253;
 
 /// Numbers of results are never given twice (AUTOINCREMENT), so that who deletes one does not mean another. A person's results
 /// and memberships go with the person, a result's metrics with the result.

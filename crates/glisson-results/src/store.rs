@@ -7,15 +7,13 @@
 use crate::attempt::{Attempt, AttemptResult, Kept};
 use crate::error::StoreError;
 use crate::schema;
+use crate::settings::BUSY_S;
 use glisson::text::did_you_mean;
 use glisson::training::task::Outcome;
 use rusqlite::{Connection, OpenFlags, OptionalExtension, Row, Transaction, TransactionBehavior, params};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-
-/// How long somebody else may write before that is an error [s]: writing a result takes some milliseconds.
-pub const BUSY_S: u64 = 10;
 
 /// Results of people, in a file.
 #[derive(Debug)]
@@ -113,7 +111,7 @@ impl Store {
         &self.file
     }
 
-    /// Gives up when somebody else writes for so long, instead of [`BUSY_S`].
+    /// Gives up when somebody else writes for so long, instead of ten seconds.
     ///
     /// # Errors
     /// What SQLite says.

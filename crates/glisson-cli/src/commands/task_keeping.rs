@@ -90,14 +90,26 @@ impl Keeper {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Stores an attempt, or writes it to a file; its number, or where it is and why. None before an instrument moved.
-    pub(super) fn keep(&self, record: &TaskRecord) -> Option<Result<i64, String>> {
+    /// Stores an attempt that ended now, or writes it to a file; its number, or where it is and why. None before an instrument
+    /// moved.
+    fn keep(&self, record: &TaskRecord) -> Option<Result<i64, String>> {
+        self.keep_at(record, None)
+    }
+
+    /// The same for one that ended then.
+    pub(super) fn keep_at(
+        &self,
+        record: &TaskRecord,
+        finished_at: Option<&str>,
+    ) -> Option<Result<i64, String>> {
         let began = record.began_s()?.to_bits();
         let mut state = self.state();
         if let Some((_, kept)) = state.kept.iter().find(|(known, _)| *known == began) {
             return Some(kept.clone());
         }
-        let kept = self.store(&mut state.store, &record.result());
+        let finished_at = finished_at.map_or_else(now_text, str::to_owned);
+        let attempt = Attempt { finished_at, ..self.attempt.clone() };
+        let kept = self.store(&mut state.store, attempt, &record.result());
         let person = self.attempt.person.as_deref().unwrap_or_default();
         match &kept {
             Ok(id) => eprintln!("stored as result {id} of {person} in {}", state.store.file().display()),
@@ -107,8 +119,7 @@ impl Keeper {
         Some(kept)
     }
 
-    fn store(&self, store: &mut Store, result: &TaskResult) -> Result<i64, String> {
-        let attempt = Attempt { finished_at: now_text(), ..self.attempt.clone() };
+    fn store(&self, store: &mut Store, attempt: Attempt, result: &TaskResult) -> Result<i64, String> {
         let result =
             serde_json::to_value(result).map_err(|error| format!("the result is no JSON: {error}"))?;
         let kept = Kept { attempt, result };

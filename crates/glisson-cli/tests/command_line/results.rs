@@ -108,9 +108,9 @@ fn a_persons_results_are_stored_compared_exported_and_forgotten() {
 fn a_report_has_the_group_the_curves_and_links_into_the_replay() {
     let folder = folder();
     let at = folder.path();
-    // Half a second of touch, so that the threshold is exceeded: a moment to look at.
+    // A touch that lasts, so that the threshold is exceeded: a moment to look at.
     let text = TASK
-        .replace("touch = {}", "hold = \"100 ms\"\ntouch = {}")
+        .replace("touch = {}", "hold = \"50 ms\"\ntouch = {}")
         .replace("[[task.stage]]", "force_threshold = \"1 mN\"\n[[task.stage]]");
     std::fs::write(at.join("own.toml"), text).unwrap();
     for person in ["Ada", "Ben", "Cleo", "Dan", "Me"] {
@@ -171,6 +171,11 @@ fn without_a_person_nothing_is_stored_and_the_file_can_be_imported_later() {
     let said = results(at, &["import", "made/own.json", "--person", "Ada"]);
     assert_eq!(said, "made/own.json: Ada at own stored as result 1\n");
     assert!(results(at, &["list"]).contains("Ada"));
+    // What was stored at once is not stored again.
+    std::fs::remove_dir_all(at.join("made")).unwrap();
+    assert_eq!(run(at, &["--person", "Ben"]).0, Some(0));
+    let said = results(at, &["import", &made(at, ".json")]);
+    assert!(said.ends_with("Ben at own is there already, as result 2\n"), "{said}");
 }
 
 #[test]

@@ -176,13 +176,11 @@ fn write_metrics(
     html.push_str(
         "<h2>Metrics</h2><p class=\"small\">Each by itself: there is no sum in which one could hide another.</p>",
     );
-    let group = comparison.and_then(|comparison| Some((comparison, group_text(comparison)?)));
-    let headings = if let Some((_, text)) = &group {
-        html.push_str(text);
-        "<th>group: quartiles<th>beside it"
-    } else {
-        ""
-    };
+    html.push_str(&comparison.and_then(group_text).unwrap_or_default());
+    // A group that is too small fills no column.
+    let has_quartiles = |all: &&Comparison| all.metrics.iter().any(|metric| metric.quartiles.is_some());
+    let group = comparison.filter(has_quartiles);
+    let headings = if group.is_some() { "<th>group: quartiles<th>beside it" } else { "" };
     write!(
         html,
         "<table><tr><th>metric<th>instrument<th>value<th>better{headings}<th>how, from where, and whether it tells skill"
@@ -202,7 +200,7 @@ fn write_metrics(
         };
         let tool = escaped(line.tool.as_deref().unwrap_or_default());
         let (title, formula, source) = (line.title, escaped(line.formula), escaped(line.source));
-        let beside = group.as_ref().map(|(all, _)| cells(all.metric(line.name, line.tool.as_deref())));
+        let beside = group.map(|all| cells(all.metric(line.name, line.tool.as_deref())));
         write!(
             html,
             "<tr><td>{title}<td>{tool}<td class=\"n\">{} {unit}<td>{better}{}<td class=\"small\">{formula}. {source}: {validity}.",

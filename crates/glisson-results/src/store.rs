@@ -106,6 +106,14 @@ impl Store {
         Ok(Self { connection, file: file.into() })
     }
 
+    /// That a result could be stored now.
+    ///
+    /// # Errors
+    /// [`StoreError::ReadOnly`], [`StoreError::Locked`].
+    pub fn check_writable(&mut self) -> Result<(), StoreError> {
+        self.write(|_| Ok(()))
+    }
+
     /// Where it is.
     pub fn file(&self) -> &Path {
         &self.file

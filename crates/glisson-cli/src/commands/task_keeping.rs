@@ -58,7 +58,8 @@ impl KeepingArgs {
         if self.person.is_none() {
             return Ok(None);
         }
-        let store = Store::open(&self.database.path())?;
+        let mut store = Store::open(&self.database.path())?;
+        store.check_writable()?;
         if let Some(group) = &self.group {
             store.members(group)?;
         }
@@ -196,5 +197,72 @@ impl Keeper {
             bail!("{n_failed} results are not in the database {}", self.state().store.file().display());
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glisson::math::DVec3;
+    use glisson::scene::Scene;
+    use glisson::tool::ToolInput;
+    use glisson_results::Filter;
+    use glisson_runtime::live::{self, Command, Shown};
+    use glisson_runtime::steering::Steering;
+    use glisson_runtime::{OpenScene, Simulation};
+    use std::time::{Duration, Instant};
+
+    /// A block that a probe touches.
+    const TASK: &str = "glisson_scene = 1\n[task]\ntitle = \"Touch\"\n[[task.stage]]\ntitle = \"Touch\"\nhold = \"50 ms\"\ntouch = {}\n\
+        [simulation]\ntime_step = \"5 ms\"\n\
+        [organ]\nbox = { min = [\"-5 cm\", \"0 cm\", \"-5 cm\"], max = [\"5 cm\", \"4 cm\", \"5 cm\"] }\nedge = \"15 mm\"\n\
+        tissue = \"liver\"\nmodel = \"precomputed\"\n[[organ.fixed]]\nfurthest = { direction = [0, 1, 0], fraction = 0.2 }\n\
+        [tool]\nname = \"probe\"\ntip_radius = \"5 mm\"\nhome_tip = [0, \"-20 mm\", 0]\nhome_shaft = [0, -1, 0]\n";
+
+    #[test]
+    fn each_attempt_that_is_begun_anew_is_stored_once_and_the_last_one_is_broken_off() {
+        let folder = tempfile::tempdir().unwrap();
+        let database = Database { database: Some(folder.path().join("r.sqlite")) };
+        let args = KeepingArgs { person: Some("Ada".into()), database, group: None };
+        let attempt = args.attempt("touch", TASK, Path::new("s.jsonl")).unwrap();
+        let keeper = args.keeper(&attempt, folder.path()).unwrap().unwrap();
+        let scene = Scene::parse(TASK).unwrap();
+        let source =
+            OpenScene { scene, folder: folder.path().into(), origin: "the test".into(), n_threads: 1 };
+        let simulation = Simulation::open(source, None).unwrap();
+        let (shown, published) = Shown::start(&simulation).unwrap();
+        let (commands, taken) = std::sync::mpsc::channel();
+        let steering = Steering::alone(commands.clone());
+        let show = (keeper.watching())(published.clone(), &steering).unwrap();
+        let running = std::thread::spawn(move || live::run(simulation, &taken, shown, Vec::new(), None));
+        let move_to = |y_m: f64| {
+            let pose = ToolInput::at(DVec3::new(0.0, y_m, 0.0), DVec3::NEG_Y);
+            commands.send(Command::Tool { tool: 0, pose }).unwrap();
+        };
+        let wait_until = |what: &dyn Fn(&Published) -> bool| {
+            let begin = Instant::now();
+            while !what(&published.borrow()) {
+                assert!(begin.elapsed() < Duration::from_secs(60), "{:?}", published.borrow().task);
+                std::thread::sleep(Duration::from_millis(2));
+            }
+        };
+        let is_over = |state: &Published| state.task.as_ref().is_some_and(|task| task.outcome.is_some());
+        let has_begun = |state: &Published| state.task.as_ref().is_some_and(|task| task.began_s.is_some());
+        for _ in 0..2 {
+            move_to(-0.002);
+            wait_until(&is_over);
+            commands.send(Command::Reset).unwrap();
+            wait_until(&|state| !has_begun(state));
+        }
+        // Goes somewhere else, and is not done.
+        move_to(-0.015);
+        wait_until(&has_begun);
+        commands.send(Command::Stop).unwrap();
+        running.join().unwrap().unwrap();
+        show.join().unwrap();
+        keeper.finish().unwrap();
+        let stored = keeper.state().store.results(&Filter::default()).unwrap();
+        let how: Vec<&str> = stored.iter().map(|stored| stored.result.outcome_text()).collect();
+        assert_eq!(how, ["passed", "passed", "broken off"]);
     }
 }

@@ -171,6 +171,15 @@ fn without_a_person_nothing_is_stored_and_the_file_can_be_imported_later() {
     let said = results(at, &["import", "made/own.json", "--person", "Ada"]);
     assert_eq!(said, "made/own.json: Ada at own stored as result 1\n");
     assert!(results(at, &["list"]).contains("Ada"));
+    // The variable names another database, and the command line goes before it.
+    let people = |more: &[&str]| {
+        let output = command(at, &[&["results", "people"], more].concat())
+            .env("GLISSON_RESULTS", "else.sqlite")
+            .output();
+        text_of(&output.unwrap().stderr)
+    };
+    assert!(people(&[]).contains("else.sqlite: there is no database of results yet"));
+    assert_eq!(people(&["--database", DATABASE]), "");
     // What was stored at once is not stored again.
     std::fs::remove_dir_all(at.join("made")).unwrap();
     assert_eq!(run(at, &["--person", "Ben"]).0, Some(0));

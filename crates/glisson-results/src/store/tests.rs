@@ -362,6 +362,7 @@ fn a_locked_database_says_so_and_takes_the_result_afterwards() {
     store.set_patience(Duration::from_millis(50)).unwrap();
     let other = Connection::open(folder.path().join("r.sqlite")).unwrap();
     other.execute_batch("BEGIN EXCLUSIVE").unwrap();
+    assert!(matches!(store.check_writable(), Err(StoreError::Locked { .. })));
     let error = store.add(&kept("Ada", 1, 9.0)).unwrap_err();
     assert!(matches!(error, StoreError::Locked { .. }), "{error}");
     let text = error.to_string();
@@ -439,17 +440,19 @@ fn a_damaged_database_says_so() {
     assert!(matches!(error, StoreError::Damaged { .. }), "{error}");
 }
 
-/// Root writes everywhere, so that only the kinds of errors are looked at.
+/// Root writes everywhere, so the file is opened for reading only.
 #[test]
-fn a_folder_that_may_only_be_read_says_so() {
-    let cause =
-        rusqlite::Error::SqliteFailure(rusqlite::ffi::Error::new(rusqlite::ffi::SQLITE_READONLY), None);
-    let error = StoreError::of(cause, Path::new("r.sqlite"));
-    assert!(matches!(error, StoreError::ReadOnly { .. }) && error.to_string().contains("may only be read"));
-    let (mut store, _folder) = store();
+fn a_database_that_may_only_be_read_says_so_and_is_read() {
+    let (mut store, folder) = store();
+    store.check_writable().unwrap();
     store.add(&kept("Ada", 1, 9.0)).unwrap();
-    store.connection.pragma_update(None, "query_only", true).unwrap();
-    let error = store.add(&kept("Ada", 2, 9.0)).unwrap_err();
-    assert!(matches!(error, StoreError::ReadOnly { .. }), "{error}");
+    let file = folder.path().join("r.sqlite");
+    let connection = Connection::open_with_flags(&file, OpenFlags::SQLITE_OPEN_READ_ONLY).unwrap();
+    let mut store = Store { connection, file };
+    for error in [store.check_writable().unwrap_err(), store.add(&kept("Ada", 2, 9.0)).unwrap_err()] {
+        assert!(matches!(error, StoreError::ReadOnly { .. }), "{error}");
+        let text = error.to_string();
+        assert!(text.contains("r.sqlite") && text.contains("may only be read"), "{text}");
+    }
     assert_eq!(store.results(&Filter::default()).unwrap().len(), 1);
 }

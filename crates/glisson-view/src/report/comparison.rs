@@ -33,7 +33,7 @@ pub(super) fn cells(metric: Option<&MetricComparison>) -> String {
         (None, None) => ("", ""),
     };
     format!(
-        "<td>{picture}<br><span class=\"small\">{first} | {median} | {third}</span><td class=\"{class}\">{word}"
+        "<td class=\"box\">{picture}<br><span class=\"small\">{first} | {median} | {third}</span><td class=\"{class}\">{word}"
     )
 }
 

@@ -22,7 +22,7 @@ const STYLE: &str = "body{font:16px/1.45 system-ui,sans-serif;color:#22282f;back
     h1{font-size:1.6rem;margin-bottom:.2rem}h2{font-size:1.15rem;margin-top:2rem}table{border-collapse:collapse;width:100%}\
     th,td{text-align:left;padding:.3rem .6rem;border-bottom:1px solid #dfe3e8;vertical-align:top}td.n{text-align:right;white-space:nowrap;\
     font-variant-numeric:tabular-nums}.good{color:#00694d;font-weight:600}.bad{color:#a33c00;font-weight:600}.small{color:#59636e;font-size:.88rem}\
-    svg{max-width:100%;height:auto}";
+    svg{max-width:100%;height:auto}td.box{white-space:nowrap}td.box svg{max-width:none}";
 
 const PLOT_SIZE: [u32; 2] = [880, 260];
 /// Points of a plot's line at most: more are not seen.

@@ -111,6 +111,10 @@ impl Store {
     /// # Errors
     /// [`StoreError::ReadOnly`], [`StoreError::Locked`].
     pub fn check_writable(&mut self) -> Result<(), StoreError> {
+        // A transaction on a file that may only be read would begin as one that reads.
+        if self.connection.is_readonly("main").map_err(|cause| self.failed(cause))? {
+            return Err(StoreError::ReadOnly { file: self.file.clone() });
+        }
         self.write(|_| Ok(()))
     }
 

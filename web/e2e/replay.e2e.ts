@@ -129,6 +129,20 @@ describe(`the player of ${given ?? "the fixture"}`, () => {
     allIsWell();
   });
 
+  it("goes to the time in its address, at the start and when that changes", async () => {
+    await page.evaluate(() => { window.location.hash = "#t=1.5"; });
+    await until(() => Math.abs(window.glissonReplay!.time_s - 1.5) < 1e-9 && window.glissonReplay!.frame > 0);
+    const { frame, playing } = await report();
+    expect(playing).toBe(false);
+    await page.reload();
+    await page.waitForFunction((wanted) => window.glissonReplay?.frame === wanted, frame, { timeout: 60_000 });
+    expect((await report()).time_s).toBe(1.5);
+    await page.evaluate(() => { window.location.hash = "#t=never"; });
+    await page.waitForTimeout(200);
+    expect(problems).toEqual([]);
+    expect((await report()).time_s).toBe(1.5);
+  });
+
   it("turns, shows edges, the other instrument and the keys", async () => {
     await page.keyboard.press("End");
     const picture = () => page.screenshot({ clip: { x: 300, y: 40, width: 640, height: 480 } });

@@ -4,6 +4,7 @@ import { BINDINGS } from "../src/keys";
 import { PLAYER_BINDINGS, PLAYER_BUTTONS } from "../src/replay/keys";
 import { between } from "../src/replay/between";
 import { Taker } from "../src/replay/bytes";
+import { timeInFragment } from "../src/replay/fragment";
 import { bytesOfBase64 } from "../src/replay/page";
 import { neighbour, Playback } from "../src/replay/playback";
 import { Recording, type Shown } from "../src/replay/recording";
@@ -184,5 +185,15 @@ describe("the player's keys", () => {
       const chordsOf = (bindings: ReadonlyArray<{ readonly action: string; readonly chords: unknown }>): unknown => bindings.find((b) => b.action === action)?.chords;
       expect(chordsOf(PLAYER_BINDINGS)).toEqual(chordsOf(BINDINGS));
     }
+  });
+});
+
+describe("the page's address", () => {
+  it.each([["#t=12.3", 12.3], ["t=0", 0], ["#view=theatre&t=7", 7], ["#t=007.50", 7.5]])("%s asks for %f s", (fragment, time_s) => {
+    expect(timeInFragment(fragment)).toBe(time_s);
+  });
+
+  it.each(["", "#", "#t=", "#t=-1", "#t=abc", "#t=1e3", "#t=0x10", "#t=Infinity", "#t=1.", "#time=3"])("%j asks for none", (fragment) => {
+    expect(timeInFragment(fragment)).toBeNull();
   });
 });

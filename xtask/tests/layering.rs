@@ -6,12 +6,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates, each of which may use those before it.
-const CRATES: [&str; 8] = [
+const CRATES: [&str; 9] = [
     "glisson-mesh",
     "glisson-tissue",
     "glisson",
     "glisson-runtime",
     "glisson-net",
+    "glisson-results",
     "glisson-view",
     "glisson-lab",
     "glisson-cli",

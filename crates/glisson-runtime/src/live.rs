@@ -583,7 +583,10 @@ impl<'a> Timed<'a> {
         Ok(())
     }
 
-    fn end(self) -> anyhow::Result<Ended> {
+    fn end(mut self) -> anyhow::Result<Ended> {
+        if let Some(last) = self.latest.with_task_broken_off(&self.live.simulation) {
+            self.feed.publish(Arc::new(last));
+        }
         let steps = self.live.simulation.world().steps_made();
         let state_hash = self.live.simulation.finish()?;
         let Self { n_stalls, stalled, lateness, meters, .. } = self;

@@ -30,8 +30,10 @@ pub struct Published {
     pub n_notices: usize,
     /// How far the scene's task is, if it has one.
     pub task: Option<TaskStatus>,
-    /// What was written down of the task, once it is over.
+    /// What was written down of the task, once it is over; in the last state of all, of one that was not over, too.
     pub task_record: Option<Arc<TaskRecord>>,
+    /// Of the attempt that was over when the task was last begun anew.
+    pub task_before: Option<Arc<TaskRecord>>,
     /// Whether the simulation broke and goes no further; the notices say why.
     pub is_broken: bool,
     /// How far the simulation fell behind.
@@ -96,12 +98,20 @@ impl Published {
             n_notices: simulation.n_notices(),
             task: simulation.task().map(TaskRun::status),
             task_record: None,
+            task_before: simulation.task_before().map(Arc::clone),
             is_broken: simulation.broken().is_some(),
             lateness: Lateness::default(),
             effort: world.effort(),
             meters: Arc::clone(meters),
             contact_watchers: Arc::clone(watchers),
         }
+    }
+
+    /// The same state with what was written down of a task that the end of the simulation breaks off.
+    pub(crate) fn with_task_broken_off(&self, simulation: &Simulation) -> Option<Self> {
+        let task =
+            simulation.task().filter(|task| self.task_record.is_none() && task.status().began_s.is_some())?;
+        Some(Self { task_record: Some(Arc::new(task.record())), ..self.clone() })
     }
 
     fn task_is_over(&self) -> bool {

@@ -14,6 +14,7 @@ import { Resolution } from "../resolution";
 import { Scene3d } from "../scene3d";
 import { Theatre } from "../theatre/view";
 import { between } from "./between";
+import { timeInFragment } from "./fragment";
 import { PLAYER_BINDINGS, PLAYER_BUTTONS, PLAYER_MOUSE, type PlayerAction } from "./keys";
 import { MomentList } from "./moments";
 import type { ReplayPage } from "./page";
@@ -95,6 +96,7 @@ export class Player {
       wheel: (notches) => this.look(zoomed(this.scene.orbit, notches)),
     });
     window.addEventListener("keydown", (event) => this.key(event));
+    window.addEventListener("hashchange", () => this.jumpToAddress());
     window.addEventListener("error", (event) => this.messages.error(`Error in the page: ${event.message}`));
     window.addEventListener("unhandledrejection", (event) => this.messages.error(`Error in the page: ${event.reason}`));
     page.scene.addEventListener("webglcontextlost", () => this.messages.error("The graphics were lost; reload the page."));
@@ -103,6 +105,7 @@ export class Player {
     for (const part of [page.scene, page.transport, page.story]) sizes.observe(part);
     this.resize();
     this.scene.resetView();
+    this.jumpToAddress();
   }
 
   private begin(hello: Hello): void {
@@ -143,6 +146,14 @@ export class Player {
     this.playback.jump(time_s);
     if (this.playback.time_s < before_s || this.playback.time_s > before_s + JUMP_S) this.theatre.smear = 0;
     this.redraw();
+  }
+
+  /** Goes to the time in the page's address, if there is one: reports link to moments. */
+  private jumpToAddress(): void {
+    const time_s = timeInFragment(window.location.hash);
+    if (time_s === null) return;
+    this.playback.playing = false;
+    this.jump(time_s);
   }
 
   private jumpToFrame(frame: number): void {

@@ -14,6 +14,9 @@ use glisson_view::recording::read::RecordingReader;
 use glisson_view::recording::write::{Recording, RecordingSettings, RecordingWriter};
 use std::path::{Path, PathBuf};
 
+const DEFAULT_RATE_HZ: u8 = 30;
+const DEFAULT_PRECISION_MM: f64 = 0.05;
+
 /// Write a recorded session as one HTML file that plays in a browser, without a server and without a network.
 ///
 /// The session is replayed, and refused when the replay does not make the bits of the recording (docs/replay.md).
@@ -27,10 +30,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     html: PathBuf,
     /// Frames a second of simulated time
-    #[arg(long, value_name = "HZ", default_value_t = 30, value_parser = clap::value_parser!(u8).range(1..=60))]
+    #[arg(long, value_name = "HZ", default_value_t = DEFAULT_RATE_HZ, value_parser = clap::value_parser!(u8).range(1..=60))]
     rate: u8,
     /// Positions are written as whole numbers of this, 0.001 to 1 mm; coordinates are off by half of it at most
-    #[arg(long, value_name = "MM", default_value_t = 0.05, value_parser = precision_mm)]
+    #[arg(long, value_name = "MM", default_value_t = DEFAULT_PRECISION_MM, value_parser = precision_mm)]
     precision_mm: f64,
     /// Read the written file again, and all of its frames
     #[arg(long)]
@@ -42,12 +45,25 @@ fn precision_mm(text: &str) -> Result<f64, String> {
     if (0.001..=1.0).contains(&found) { Ok(found) } else { Err(format!("{found} is not in 0.001..=1")) }
 }
 
+/// That the program has the page which plays recordings.
+pub(super) fn require_page() -> anyhow::Result<()> {
+    let has_page = page_with(&[]).is_some();
+    ensure!(has_page, "this program was built without its pages; `cargo xtask demo` builds it with them");
+    Ok(())
+}
+
+/// Writes a session as a page, with the settings that [`Args`] has when none are given.
+pub(super) fn write_page(session: &Path, folder: &Path, html: &Path) -> anyhow::Result<()> {
+    let session = replay::read_session(session)?;
+    let settings =
+        RecordingSettings { rate_hz: f64::from(DEFAULT_RATE_HZ), step_m: 1e-3 * DEFAULT_PRECISION_MM };
+    let Exported { recording, .. } = with_bar("replaying", || record(&session, folder, settings))?;
+    write_text(html, &page_with(&recording.bytes).context("the program's page is gone")?)
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     check_extension(&args.html, &["html", "htm"])?;
-    ensure!(
-        page_with(&[]).is_some(),
-        "this program was built without its pages; `cargo xtask demo` builds it with them"
-    );
+    require_page()?;
     let session = args.source.read()?;
     let settings = RecordingSettings { rate_hz: f64::from(args.rate), step_m: 1e-3 * args.precision_mm };
     let Exported { recording, task, replay } =

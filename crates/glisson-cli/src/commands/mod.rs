@@ -20,13 +20,16 @@ mod fit;
 mod run;
 mod serve;
 mod patient;
-mod task;
-mod start;
 mod watch;
 mod device_page;
 mod devices;
 mod replay;
 mod export;
+mod results_text;
+mod results;
+mod task_keeping;
+mod task;
+mod start;
 mod bench;
 mod validate;
 mod demo;
@@ -57,6 +60,7 @@ enum Command {
     Patient(patient::Args),
     Task(task::Args),
     Start(start::Args),
+    Results(results::Args),
     Watch(watch::Args),
     Devices(devices::Args),
     Replay(replay::Args),
@@ -85,6 +89,7 @@ pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
         Command::Patient(args) => patient::run(args),
         Command::Task(args) => task::run(args),
         Command::Start(args) => start::run(args),
+        Command::Results(args) => results::run(args),
         Command::Watch(args) => watch::run(args),
         Command::Devices(args) => devices::run(args),
         Command::Replay(args) => replay::run(args),

@@ -16,7 +16,7 @@ use glisson_runtime::workers::allowed_cores;
 use glisson_runtime::{OpenScene, Simulation};
 use glisson_view::patient::{self, PatientPage};
 use glisson_view::server::access::Access;
-use glisson_view::server::{self, Served, Service, Show, stop_signal};
+use glisson_view::server::{self, Compare, Served, Service, Show, stop_signal};
 use std::net::TcpListener;
 use std::path::PathBuf;
 
@@ -101,6 +101,18 @@ impl Address {
     /// Tells the address, opens a browser where there is a display, and serves until Ctrl-C.
     pub(crate) fn serve(&self, simulation: Simulation, listener: TcpListener) -> anyhow::Result<()> {
         self.serve_with(simulation, listener, Vec::new(), HapticSettings::default(), Network::default())
+    }
+
+    /// The same with a task whose results are stored: `show` sees what is published, reports compare by `compare`.
+    pub(crate) fn serve_task(
+        &self,
+        simulation: Simulation,
+        listener: TcpListener,
+        (show, compare): (Show, Compare),
+    ) -> anyhow::Result<()> {
+        let access = self.tell(&listener)?;
+        let service = Service { shows: vec![show], compare: Some(compare), ..Service::to(access) };
+        serve_until_stopped(simulation, listener, service)
     }
 
     /// The same with instruments that devices hold.

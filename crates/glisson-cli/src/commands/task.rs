@@ -1,17 +1,21 @@
 //! `glisson task`.
 
+use super::export;
 use super::serve::Address;
+use super::task_keeping::{Keeper, KeepingArgs, now_text, time_in_names};
 use super::task_text::task_text;
 use crate::text_file::write_text;
 use anyhow::{Context, bail};
 use glisson::scene::Scene;
 use glisson::training::task::{Outcome, TaskRun};
+use glisson_results::Attempt;
 use glisson_runtime::script::PathScript;
 use glisson_runtime::tasks::{TASKS, task_named};
 use glisson_runtime::{OpenScene, Simulation};
-use glisson_view::report::task_report;
+use glisson_view::report::{ReportContext, task_report};
 use serde_json::json;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Tasks to train with: what there is, doing one, checking one of your own.
@@ -19,6 +23,7 @@ use std::time::Instant;
 /// A task is a scene with a [task] table (docs/tasks.md). It is measured while it is done, and reported at its end.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  glisson task list\n  glisson task run palpation\n  \
+    glisson task run palpation --person Ada --group experts\n  \
     glisson task run grasp_and_lift --headless --out out/tasks\n  glisson task check my_task.toml")]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -64,6 +69,11 @@ struct Run {
     /// Without a window: print the result as JSON
     #[arg(long)]
     json: bool,
+    /// Without a window: write the session as a page that plays it, to which the report's moments lead
+    #[arg(long, requires = "headless")]
+    replay: bool,
+    #[command(flatten)]
+    keeping: KeepingArgs,
     #[command(flatten)]
     address: Address,
 }
@@ -126,11 +136,38 @@ pub(super) fn open(task: &str, n_threads: usize) -> anyhow::Result<OpenScene> {
 }
 
 impl Run {
-    /// A file of the task in the folder, by its ending.
-    fn file(&self, ending: &str) -> PathBuf {
-        let stem = Path::new(&self.task).file_stem().map_or("task".into(), |stem| stem.to_string_lossy());
-        self.out.join(format!("{stem}{ending}"))
+    /// What the task is called in files and in the database.
+    fn name(&self) -> String {
+        Path::new(&self.task).file_stem().map_or("task".into(), |stem| stem.to_string_lossy()).into_owned()
     }
+
+    /// Where this run writes. A person's runs have names of their own: later ones leave them as they are.
+    fn files(&self) -> Files {
+        let time = self.keeping.person.as_ref().map(|_| format!("_{}", time_in_names(&now_text())));
+        Files { folder: self.out.clone(), stem: self.name() + &time.unwrap_or_default() }
+    }
+}
+
+/// Files of a run.
+struct Files {
+    folder: PathBuf,
+    stem: String,
+}
+
+impl Files {
+    fn with(&self, ending: &str) -> PathBuf {
+        self.folder.join(format!("{}{ending}", self.stem))
+    }
+}
+
+/// A headless run.
+struct Followed<'a> {
+    args: &'a Run,
+    files: Files,
+    attempt: Attempt,
+    keeper: Option<Arc<Keeper>>,
+    /// Folder that the scene's files are relative to.
+    scene_folder: PathBuf,
 }
 
 fn check(task: &str) -> anyhow::Result<()> {
@@ -159,6 +196,9 @@ fn check(task: &str) -> anyhow::Result<()> {
 }
 
 fn do_task(args: &Run) -> anyhow::Result<()> {
+    if args.replay {
+        export::require_page()?;
+    }
     // A taken port is better known before the work than after it.
     let listener = if args.headless { None } else { Some(args.address.bind()?) };
     let source = open(&args.task, usize::from(args.threads))?;
@@ -169,18 +209,24 @@ fn do_task(args: &Run) -> anyhow::Result<()> {
         let none = "the task has no demonstration: its instruments have no [[tool.path]]";
         script = Some(paths.with_context(|| format!("{}: {none}", source.origin))?);
     }
-    let mut simulation = Simulation::open(source, Some(&args.file(".jsonl")))?;
+    let (files, scene_folder) = (args.files(), source.folder.clone());
+    let session = files.with(".jsonl");
+    let attempt = args.keeping.attempt(&args.name(), &source.scene.text, &session)?;
+    let keeper = args.keeping.keeper(&attempt, &args.out)?;
+    let mut simulation = Simulation::open(source, Some(&session))?;
     if let Some(script) = script {
         simulation.follow_script(Box::new(script));
     }
-    match listener {
-        Some(listener) => args.address.serve(simulation, listener),
-        None => follow_demonstration(args, simulation),
-    }
+    let Some(listener) = listener else {
+        return follow_demonstration(&Followed { args, files, attempt, keeper, scene_folder }, simulation);
+    };
+    let Some(keeper) = keeper else { return args.address.serve(simulation, listener) };
+    args.address.serve_task(simulation, listener, (keeper.watching(), keeper.comparing()))?;
+    keeper.finish()
 }
 
 /// Follows the demonstration to its end, and writes what came of it.
-fn follow_demonstration(args: &Run, mut simulation: Simulation) -> anyhow::Result<()> {
+fn follow_demonstration(followed: &Followed<'_>, mut simulation: Simulation) -> anyhow::Result<()> {
     let is_over = |simulation: &Simulation| simulation.task().is_some_and(|task| task.outcome().is_some());
     let (begin, mut steps) = (Instant::now(), 0_u64);
     while !is_over(&simulation) && !simulation.script_is_over() {
@@ -194,26 +240,70 @@ fn follow_demonstration(args: &Run, mut simulation: Simulation) -> anyhow::Resul
     let notices: Vec<String> = simulation.notices().iter().map(|notice| notice.text.clone()).collect();
     let state_hash = simulation.finish()?;
     let result = record.result();
-    let (report, numbers) = (args.file(".html"), args.file(".json"));
-    write_text(&report, &task_report(&record, &result, None))?;
+    let Followed { args, files, attempt, keeper, scene_folder } = followed;
+    let (session, report, numbers) = (files.with(".jsonl"), files.with(".html"), files.with(".json"));
+    let attempt = Attempt { finished_at: now_text(), ..attempt.clone() };
     let whole = json!({
-        "result": &result, "steps": steps, "real_time_factor": real_time_factor, "state_hash": state_hash.to_string(),
-        "notices": notices,
+        "attempt": attempt, "result": &result, "steps": steps, "real_time_factor": real_time_factor,
+        "state_hash": state_hash.to_string(), "notices": notices,
     });
     write_text(&numbers, &format!("{}\n", serde_json::to_string_pretty(&whole)?))?;
+    let compared = keeper.as_ref().map(|keeper| {
+        // The file and the database tell the same time, so that importing the file stores nothing twice.
+        keeper.keep_at(&record, Some(&attempt.finished_at));
+        keeper.compare(&record)
+    });
+    let compared = compared.transpose();
+    let mut written = vec![session.clone(), numbers, report.clone()];
+    let mut replay = None;
+    if args.replay {
+        let page = files.with("_replay.html");
+        export::write_page(&session, scene_folder, &page)?;
+        replay = page.file_name().map(|name| in_address(&name.to_string_lossy()));
+        written.push(page);
+    }
+    let context = ReportContext {
+        back: None,
+        replay: replay.as_deref(),
+        comparison: compared.as_ref().ok().and_then(Option::as_ref),
+        note: compared.as_ref().err().map(String::as_str),
+    };
+    write_text(&report, &task_report(&record, &result, &context))?;
     if args.json {
         println!("{whole}");
     } else {
         print!("{}", task_text(&result));
         println!("real-time factor {real_time_factor:.1}");
         println!("state hash       {state_hash}");
-        let session = args.file(".jsonl");
-        println!("written          {}, {}, {}", session.display(), numbers.display(), report.display());
+        let written: Vec<String> = written.iter().map(|file| file.display().to_string()).collect();
+        println!("written          {}", written.join(", "));
+    }
+    if let Some(keeper) = keeper {
+        keeper.finish()?;
     }
     match result.outcome {
         Some(Outcome::Done) if result.is_passed => Ok(()),
         Some(Outcome::Done) => bail!("the task was done, but beyond its safety gate"),
         Some(Outcome::TimeOver) => bail!("the task was not done within its time"),
         None => bail!("the demonstration ended before the task was done"),
+    }
+}
+
+/// A file's name in an address: all but letters, digits and a few signs as their bytes.
+fn in_address(name: &str) -> String {
+    let letter = |byte: u8| match byte {
+        b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'-' | b'_' | b'.' | b'~' => char::from(byte).to_string(),
+        _ => format!("%{byte:02X}"),
+    };
+    name.bytes().map(letter).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_with_signs_of_addresses_is_written_as_bytes() {
+        assert_eq!(in_address("a b#1?_ä.html"), "a%20b%231%3F_%C3%A4.html");
     }
 }

@@ -11,7 +11,7 @@ fn recorded(folder: &Path) -> String {
 }
 
 /// The pages that are put into the program.
-fn pages_are_built() -> bool {
+pub(super) fn pages_are_built() -> bool {
     let is_built = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../web/dist/replay.html").exists();
     if !is_built {
         eprintln!("SKIPPED: web/dist is not built (cd web && npm run build)");

@@ -8,13 +8,21 @@ mod images;
 mod link;
 mod precompute;
 mod start;
+mod results;
 mod tasks;
 
 use std::path::Path;
 use std::process::{Command, Output};
 
 fn glisson(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_glisson")).args(arguments).current_dir(folder).output().unwrap()
+    command(folder, arguments).output().unwrap()
+}
+
+/// Stores no results where the user of this machine has them.
+fn command(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_glisson"));
+    command.args(arguments).current_dir(folder).env_remove("GLISSON_RESULTS");
+    command
 }
 
 fn files(folder: &Path) -> Vec<String> {
@@ -87,6 +95,7 @@ fn help_and_wrong_command_lines() {
         "watch",
         "task",
         "start",
+        "results",
         "devices",
         "replay",
         "export",

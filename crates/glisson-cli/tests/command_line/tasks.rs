@@ -4,7 +4,7 @@ use super::{files, glisson, refuses};
 use std::path::Path;
 
 /// A block that a probe presses, without any file.
-const TASK: &str = r#"glisson_scene = 1
+pub(super) const TASK: &str = r#"glisson_scene = 1
 [task]
 title = "Press <here> & there"
 [[task.stage]]
@@ -29,7 +29,7 @@ time = "0.5 s"
 tip = [0, "-2 mm", 0]
 "#;
 
-fn text_of(bytes: &[u8]) -> String {
+pub(super) fn text_of(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 

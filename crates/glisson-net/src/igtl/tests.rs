@@ -54,6 +54,7 @@ pub(crate) fn published(step: u64) -> Arc<Published> {
         n_notices: 0,
         task: None,
         task_record: None,
+        task_before: None,
         is_broken: false,
         lateness: Lateness::default(),
         meters: Arc::default(),

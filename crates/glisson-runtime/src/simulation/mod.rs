@@ -21,7 +21,7 @@ use glisson::model::{DeformableModel, LevelOfDetail};
 use glisson::record::session::SessionEvent;
 use glisson::scene::{BodySet, OrganBody, Scene, build_world, joint_mesh_hash};
 use glisson::tool::MAX_TOOLS;
-use glisson::training::task::TaskRun;
+use glisson::training::task::{TaskRecord, TaskRun};
 use glisson::world::{StageWatch, StepInput, StepReport, World};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -84,6 +84,8 @@ pub struct Simulation {
     task: Option<TaskRun>,
     /// Gravity without what an event of the task adds to it [m/s2], while one does.
     steady_gravity_m_per_s2: Option<DVec3>,
+    /// Of the attempt at it that was over when it was last begun anew.
+    task_before: Option<Arc<TaskRecord>>,
 }
 
 impl Simulation {
@@ -113,12 +115,18 @@ impl Simulation {
             script: None,
             task,
             steady_gravity_m_per_s2: None,
+            task_before: None,
         })
     }
 
     /// The scene's task, if it has one.
     pub fn task(&self) -> Option<&TaskRun> {
         self.task.as_ref()
+    }
+
+    /// What was written down of the attempt that was over when the task was last begun anew, for who may not have seen its end.
+    pub fn task_before(&self) -> Option<&Arc<TaskRecord>> {
+        self.task_before.as_ref()
     }
 
     /// Orders models only when told to: the session that is replayed holds all orders.
@@ -319,6 +327,9 @@ impl Simulation {
             }
             simulation.world.reset();
             if let Some(task) = simulation.task.take() {
+                if task.outcome().is_some() {
+                    simulation.task_before = Some(Arc::new(task.record()));
+                }
                 // Where tissue is gone that a goal is about, there is no task any more.
                 match task.anew(&simulation.world) {
                     Ok(task) => simulation.task = Some(task),

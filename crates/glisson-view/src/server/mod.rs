@@ -8,7 +8,7 @@ pub mod frames;
 pub(crate) mod messages;
 mod socket;
 
-use crate::report::task_report;
+use crate::report::{ReportContext, task_report};
 use access::Access;
 use anyhow::Context;
 use axum::Router;
@@ -18,6 +18,7 @@ use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use glisson::training::task::TaskRecord;
+use glisson_results::Comparison;
 use glisson_runtime::Simulation;
 use glisson_runtime::control::Control;
 use glisson_runtime::haptic_loop::{HapticLoop, HapticReport, HapticSettings, HeldTool, Meters, ToolLink};
@@ -60,7 +61,11 @@ struct Shared {
     homing: Duration,
     /// Told when the simulation is to end; none where nothing comes after it.
     leaving: Option<watch::Sender<bool>>,
+    compare: Option<Compare>,
 }
+
+/// Answers the place of a task's result beside others, or why there is none.
+pub type Compare = Box<dyn Fn(&TaskRecord) -> Result<Comparison, String> + Send + Sync>;
 
 /// What is served beside the simulation.
 pub struct Service {
@@ -84,6 +89,8 @@ pub struct Service {
     pub beside: Option<PageHand>,
     /// The page in control may end the simulation: another page comes after it.
     pub may_leave: bool,
+    /// What the report of a task compares its result with.
+    pub compare: Option<Compare>,
 }
 
 impl Service {
@@ -100,6 +107,7 @@ impl Service {
             stalls: None,
             beside: None,
             may_leave: false,
+            compare: None,
         }
     }
 }
@@ -133,8 +141,19 @@ pub fn serve(
     service: Service,
     stop: impl Future<Output = ()>,
 ) -> anyhow::Result<Served> {
-    let Service { access, held, haptics, remote, remote_figures, shows, meters, stalls, beside, may_leave } =
-        service;
+    let Service {
+        access,
+        held,
+        haptics,
+        remote,
+        remote_figures,
+        shows,
+        meters,
+        stalls,
+        beside,
+        may_leave,
+        compare,
+    } = service;
     let (shown, published) = Shown::start(&simulation)?;
     let (commands, commands_out) = std::sync::mpsc::channel();
     let mut hello = messages::hello(&simulation);
@@ -171,6 +190,7 @@ pub fn serve(
         hands,
         homing,
         leaving: leaving.clone(),
+        compare,
     });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let served = runtime.block_on(serve_pages(listener, shared, access, stop));
@@ -289,7 +309,18 @@ async fn task_result(State(shared): State<Arc<Shared>>) -> Response {
 }
 
 async fn report(State(shared): State<Arc<Shared>>) -> Response {
-    let html = assessed(shared, |record| task_report(record, &record.result(), Some("/"))).await;
+    let with = Arc::clone(&shared);
+    let html = assessed(shared, move |record| {
+        let compared = with.compare.as_ref().map(|compare| compare(record));
+        let comparison = compared.as_ref().and_then(|compared| compared.as_ref().ok());
+        let note = compared.as_ref().and_then(|compared| compared.as_ref().err()).map(String::as_str);
+        task_report(
+            record,
+            &record.result(),
+            &ReportContext { back: Some("/"), comparison, note, replay: None },
+        )
+    });
+    let html = html.await;
     html.map(axum::response::Html).into_response()
 }
 

@@ -8,7 +8,7 @@ use super::motion::{
 use super::smoothness::{log_dimensionless_jerk, sparc};
 use super::trace::{ToolTrace, Trace};
 use crate::math::DVec3;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 /// Mean force with which forceps gripped the liver in laparoscopic hepatectomies of pigs, the greatest was 3.38 N; damage grew with
@@ -17,7 +17,7 @@ use std::ops::Range;
 pub const GRIP_OF_PORCINE_LIVER_N: f64 = 1.75;
 
 /// Which way a metric is better.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Better {
     /// Smaller values are better.

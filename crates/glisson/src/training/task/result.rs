@@ -8,10 +8,10 @@ use crate::training::gestures::{gestures, slips};
 use crate::training::metrics::{Better, GRIP_OF_PORCINE_LIVER_N, Measured, MetricValue, Validity, measure};
 use crate::training::moments::{Moment, moments};
 use crate::training::trace::Trace;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// How a task ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// All stages were done.
@@ -127,6 +127,11 @@ impl TaskRecord {
     /// Instruments, forces and blood at regular times.
     pub fn trace(&self) -> &Trace {
         &self.trace
+    }
+
+    /// Simulated time at which the task began [s]; none before an instrument has moved.
+    pub fn began_s(&self) -> Option<f64> {
+        self.began_s
     }
 
     /// Force between an instrument and tissue above which it is noted [N].

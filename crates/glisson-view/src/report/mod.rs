@@ -1,30 +1,51 @@
 //! The report of a task as one HTML page: what was done, what it was measured by, what went wrong and when, and plots.
 
+mod words;
+mod comparison;
+
+pub use comparison::curve_plot;
+
 use crate::plot::{LinePlot, Series, SeriesStyle};
+use comparison::{cells, group_text, write_curves};
 use glisson::training::metrics::{Better, Validity};
 use glisson::training::moments::Moment;
 use glisson::training::task::{
-    GateLine, GestureTime, MetricLine, Outcome, StageResult, TaskRecord, TaskResult,
+    EventNews, GateLine, GestureTime, MetricLine, Outcome, StageResult, TaskRecord, TaskResult,
 };
 use glisson::training::trace::Trace;
 use glisson::units::for_people;
+use glisson_results::Comparison;
 use std::fmt::Write as _;
+use words::{escaped, number};
 
 const STYLE: &str = "body{font:16px/1.45 system-ui,sans-serif;color:#22282f;background:#fff;max-width:60rem;margin:2rem auto;padding:0 1rem}\
     h1{font-size:1.6rem;margin-bottom:.2rem}h2{font-size:1.15rem;margin-top:2rem}table{border-collapse:collapse;width:100%}\
     th,td{text-align:left;padding:.3rem .6rem;border-bottom:1px solid #dfe3e8;vertical-align:top}td.n{text-align:right;white-space:nowrap;\
     font-variant-numeric:tabular-nums}.good{color:#00694d;font-weight:600}.bad{color:#a33c00;font-weight:600}.small{color:#59636e;font-size:.88rem}\
-    svg{max-width:100%;height:auto}";
+    svg{max-width:100%;height:auto}td.box{white-space:nowrap}td.box svg{max-width:none}";
 
 const PLOT_SIZE: [u32; 2] = [880, 260];
 /// Points of a plot's line at most: more are not seen.
 const MOST_POINTS: usize = 2000;
 
-/// The report of what was written down and its assessment; with `back`, a link to the simulation's page.
-pub fn task_report(record: &TaskRecord, result: &TaskResult, back: Option<&str>) -> String {
+/// What stands around an assessment in its report.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ReportContext<'a> {
+    /// Link to the simulation's page.
+    pub back: Option<&'a str>,
+    /// Link to the session's replay (docs/replay.md), at whose times moments are looked at.
+    pub replay: Option<&'a str>,
+    /// The result beside others.
+    pub comparison: Option<&'a Comparison>,
+    /// What the reader should know of how the result was stored.
+    pub note: Option<&'a str>,
+}
+
+/// The report of what was written down and its assessment.
+pub fn task_report(record: &TaskRecord, result: &TaskResult, context: &ReportContext<'_>) -> String {
     let mut html = String::new();
     // Writing to a string does not fail.
-    let _ = write_report(&mut html, record, result, back);
+    let _ = write_report(&mut html, record, result, context);
     html
 }
 
@@ -32,7 +53,7 @@ fn write_report(
     html: &mut String,
     record: &TaskRecord,
     result: &TaskResult,
-    back: Option<&str>,
+    &ReportContext { back, replay, comparison, note }: &ReportContext<'_>,
 ) -> std::fmt::Result {
     let title = escaped(&result.title);
     write!(
@@ -52,10 +73,26 @@ fn write_report(
     if let Some(back) = back {
         write!(html, "<p><a href=\"{}\">Back to the simulation</a></p>", escaped(back))?;
     }
+    if let Some(Comparison { id, person, .. }) = comparison {
+        write!(html, "<p class=\"small\">{}, result {id}</p>", escaped(person))?;
+    }
+    if let Some(note) = note {
+        write!(html, "<p class=\"bad\">{}</p>", escaped(note))?;
+    }
+    if let Some(replay) = replay {
+        write!(html, "<p><a href=\"{}\">Replay of the session</a></p>", escaped(replay))?;
+    }
     write_stages(html, result)?;
     write_gate(html, &result.gate)?;
-    write_moments(html, record, &result.moments)?;
-    write_metrics(html, &result.metrics)?;
+    // A recording counts from the session's beginning, a task from the first motion of an instrument.
+    let began_s = result.began_s.unwrap_or(0.0);
+    let link = replay.map(|replay| move |from_s: f64| format!("{replay}#t={:.2}", began_s + from_s));
+    write_events(html, &result.events)?;
+    write_moments(html, record, &result.moments, link.as_ref().map(|link| link as &dyn Fn(f64) -> String))?;
+    write_metrics(html, &result.metrics, comparison)?;
+    if let Some(comparison) = comparison {
+        write_curves(html, &comparison.curves)?;
+    }
     write_plots(html, record)?;
     write_gestures(html, &result.gestures)?;
     html.push_str("</main></body></html>\n");
@@ -101,34 +138,68 @@ fn write_gate(html: &mut String, gate: &[GateLine]) -> std::fmt::Result {
     Ok(())
 }
 
-fn write_moments(html: &mut String, record: &TaskRecord, moments: &[Moment]) -> std::fmt::Result {
+/// `link` answers where in the replay a time is.
+/// Events that came, and those that could have.
+fn write_events(html: &mut String, events: &[EventNews]) -> std::fmt::Result {
+    if events.is_empty() {
+        return Ok(());
+    }
+    html.push_str("<h2>Events</h2><table><tr><th>what<th>at [s]");
+    for EventNews { title, came_s } in events {
+        let came = came_s.map_or_else(|| "did not come".to_owned(), |came_s| format!("{came_s:.2}"));
+        write!(html, "<tr><td>{}<td class=\"n\">{came}", escaped(title))?;
+    }
+    html.push_str("</table>");
+    Ok(())
+}
+
+fn write_moments(
+    html: &mut String,
+    record: &TaskRecord,
+    moments: &[Moment],
+    link: Option<&dyn Fn(f64) -> String>,
+) -> std::fmt::Result {
     html.push_str("<h2>What went wrong, and when</h2>");
     if moments.is_empty() {
         html.push_str("<p>Nothing that is looked for.</p>");
         return Ok(());
     }
-    html.push_str("<p class=\"small\">Times are from the beginning of the task; they are where to look in the replay.</p>");
+    let where_to_look =
+        if link.is_some() { "each leads to the replay" } else { "they are where to look in the replay" };
+    write!(html, "<p class=\"small\">Times are from the beginning of the task; {where_to_look}.</p>")?;
     html.push_str("<table><tr><th>at [s]<th>for [s]<th>what<th>more");
     for Moment { fault, from_s, to_s, tool, detail } in moments {
         let named =
             tool.map(|tool| record.trace().tools[tool].name.as_str()).filter(|name| !detail.contains(name));
         let more = named.map_or_else(|| detail.clone(), |name| format!("{name} {detail}"));
         let (what, more) = (fault.title(), escaped(&more));
-        write!(
-            html,
-            "<tr><td class=\"n\">{from_s:.2}<td class=\"n\">{:.2}<td>{what}<td>{more}",
-            to_s - from_s
-        )?;
+        let at = match link {
+            Some(link) => format!("<a href=\"{}\">{from_s:.2}</a>", escaped(&link(*from_s))),
+            None => format!("{from_s:.2}"),
+        };
+        write!(html, "<tr><td class=\"n\">{at}<td class=\"n\">{:.2}<td>{what}<td>{more}", to_s - from_s)?;
     }
     html.push_str("</table>");
     Ok(())
 }
 
-fn write_metrics(html: &mut String, metrics: &[MetricLine]) -> std::fmt::Result {
+fn write_metrics(
+    html: &mut String,
+    metrics: &[MetricLine],
+    comparison: Option<&Comparison>,
+) -> std::fmt::Result {
     html.push_str(
-        "<h2>Metrics</h2><p class=\"small\">Each by itself: there is no sum in which one could hide another.</p>\
-         <table><tr><th>metric<th>instrument<th>value<th>better<th>how, from where, and whether it tells skill",
+        "<h2>Metrics</h2><p class=\"small\">Each by itself: there is no sum in which one could hide another.</p>",
     );
+    html.push_str(&comparison.and_then(group_text).unwrap_or_default());
+    // A group that is too small fills no column.
+    let has_quartiles = |all: &&Comparison| all.metrics.iter().any(|metric| metric.quartiles.is_some());
+    let group = comparison.filter(has_quartiles);
+    let headings = if group.is_some() { "<th>group: quartiles<th>beside it" } else { "" };
+    write!(
+        html,
+        "<table><tr><th>metric<th>instrument<th>value<th>better{headings}<th>how, from where, and whether it tells skill"
+    )?;
     for line in metrics {
         let (value, unit) = for_people(line.value, line.unit);
         let better = match line.better {
@@ -144,10 +215,12 @@ fn write_metrics(html: &mut String, metrics: &[MetricLine]) -> std::fmt::Result 
         };
         let tool = escaped(line.tool.as_deref().unwrap_or_default());
         let (title, formula, source) = (line.title, escaped(line.formula), escaped(line.source));
+        let beside = group.map(|all| cells(all.metric(line.name, line.tool.as_deref())));
         write!(
             html,
-            "<tr><td>{title}<td>{tool}<td class=\"n\">{} {unit}<td>{better}<td class=\"small\">{formula}. {source}: {validity}.",
-            number(value)
+            "<tr><td>{title}<td>{tool}<td class=\"n\">{} {unit}<td>{better}{}<td class=\"small\">{formula}. {source}: {validity}.",
+            number(value),
+            beside.unwrap_or_default()
         )?;
     }
     html.push_str("</table>");
@@ -206,19 +279,4 @@ fn line(trace: &Trace, name: &str, values: &[f64]) -> Series {
     };
     let points = values.chunks(few).enumerate().map(point).collect();
     Series { name: name.into(), points, style: SeriesStyle::Line }
-}
-
-/// With about three digits.
-fn number(value: f64) -> String {
-    let digits = match value.abs() {
-        size if size >= 100.0 || value.fract() == 0.0 => 0,
-        size if size >= 10.0 => 1,
-        size if size >= 1.0 => 2,
-        _ => 3,
-    };
-    format!("{value:.digits$}")
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -15,6 +15,8 @@ export const EN = {
   start_patient_go: "Bring in a patient",
   start_go: "Start",
   start_watch: "Watch",
+  start_level: "Level",
+  start_patient_seed: "Patient",
   start_go_with: "Start: {what}",
   start_watch_with: "Watch the demonstration: {what}",
   start_stages: "{n} stages",

@@ -16,6 +16,8 @@ export const FR: Readonly<Record<TextKey, string>> = {
   start_patient_go: "Préparer un patient",
   start_go: "Commencer",
   start_watch: "Regarder",
+  start_level: "Niveau",
+  start_patient_seed: "Patient",
   start_go_with: "Commencer : {what}",
   start_watch_with: "Regarder la démonstration : {what}",
   start_stages: "{n} étapes",

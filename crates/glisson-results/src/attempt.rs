@@ -23,7 +23,7 @@ pub struct Attempt {
     pub seed: Option<u32>,
     /// Level of a task that has several.
     #[serde(default)]
-    pub level: Option<u32>,
+    pub level: Option<String>,
     /// The recorded session's file.
     #[serde(default)]
     pub session: Option<String>,

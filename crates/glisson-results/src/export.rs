@@ -49,7 +49,7 @@ pub fn csv(results: &[StoredResult]) -> String {
             attempt.scene_hash.clone(),
             attempt.finished_at.clone(),
             number(attempt.seed),
-            number(attempt.level),
+            attempt.level.clone().unwrap_or_default(),
             u8::from(*is_passed).to_string(),
             outcome.to_owned(),
             duration_s.map(|duration_s| duration_s.to_string()).unwrap_or_default(),

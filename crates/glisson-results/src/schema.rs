@@ -20,7 +20,7 @@ CREATE TABLE result (
     scene_hash TEXT NOT NULL,
     finished_at TEXT NOT NULL,
     seed INTEGER,
-    level INTEGER,
+    level TEXT,
     is_passed INTEGER NOT NULL CHECK (is_passed IN (0, 1)),
     outcome TEXT CHECK (outcome IN ('done', 'time_over')),
     duration_s REAL,

@@ -28,6 +28,16 @@ export function taskFacts(task: Pick<TaskOffer, "stages" | "time_limit_s">): str
   return `${stages}, ${text("start_time", { time: clockText(task.time_limit_s) })}`;
 }
 
+/** A choice with a label; none where there is nothing to choose. */
+function choiceOf(label: string, values: ReadonlyArray<string | number>, usual: string | number | null): HTMLSelectElement | null {
+  if (values.length < 2) return null;
+  const select = element("select");
+  select.setAttribute("aria-label", label);
+  select.title = label;
+  for (const value of values) select.append(new Option(`${label}: ${value}`, String(value), false, value === usual));
+  return select;
+}
+
 export function taskItem(task: TaskOffer, begin: Begin): HTMLLIElement {
   const item = element("li");
   const stages = element("ol", "stages");
@@ -36,13 +46,18 @@ export function taskItem(task: TaskOffer, begin: Begin): HTMLLIElement {
   whole.append(element("summary", "", taskFacts(task)), stages);
   const buttons = element("div", "buttons");
   const { name, title } = task;
-  buttons.append(beginning(text("start_go"), text("start_go_with", { what: title }), () => begin("task", { name })));
+  const level = choiceOf(text("start_level"), task.levels, task.level);
+  const patient = choiceOf(text("start_patient_seed"), task.patients, task.patients[0] ?? null);
+  const variant = (): object => ({ name, level: level?.value ?? null, patient: patient === null ? null : Number(patient.value) });
+  buttons.append(beginning(text("start_go"), text("start_go_with", { what: title }), () => begin("task", variant())));
   if (task.has_demonstration) {
-    const watch = beginning(text("start_watch"), text("start_watch_with", { what: title }), () => begin("task", { name, demonstrate: true }));
+    const watch = beginning(text("start_watch"), text("start_watch_with", { what: title }), () => begin("task", { ...variant(), demonstrate: true }));
     watch.classList.add("second");
     buttons.append(watch);
   }
-  item.append(element("h3", "", title), element("p", "", task.about), whole, buttons);
+  const choices = element("div", "choices");
+  choices.append(...[level, patient].filter((choice) => choice !== null));
+  item.append(element("h3", "", title), element("p", "", task.about), whole, choices, buttons);
   item.dataset.task = name;
   return item;
 }

@@ -6,6 +6,10 @@ export interface TaskOffer {
   readonly about: string;
   readonly stages: readonly string[];
   readonly time_limit_s: number;
+  /** Levels and the one that is usual; patients that it may be done with. */
+  readonly levels: readonly string[];
+  readonly level: string | null;
+  readonly patients: readonly number[];
   readonly has_demonstration: boolean;
 }
 

@@ -78,8 +78,8 @@ impl Opener {
     fn open(&self, choice: &Choice) -> anyhow::Result<Simulation> {
         match choice {
             Choice::Scene { path } => self.open_scene(path),
-            Choice::Task { name, demonstrate } => {
-                let source = task::open(name, self.n_threads)?;
+            Choice::Task { name, demonstrate, variant } => {
+                let source = task::open(name, variant, self.n_threads)?;
                 let script = if *demonstrate {
                     let paths = PathScript::new(source.scene.clone(), task::DEMONSTRATION_WAITS_S);
                     Some(paths.context("the task has no demonstration")?)

@@ -6,7 +6,7 @@ use super::task_keeping::{Keeper, KeepingArgs, now_text, time_in_names};
 use super::task_text::task_text;
 use crate::text_file::write_text;
 use anyhow::{Context, bail};
-use glisson::scene::Scene;
+use glisson::scene::{Choice, Scene, choose};
 use glisson::training::task::{Outcome, TaskRun};
 use glisson_results::Attempt;
 use glisson_runtime::script::PathScript;
@@ -44,7 +44,26 @@ enum Verb {
     Check {
         /// A name of `glisson task list`, or a scene file with a [task]
         task: String,
+        #[command(flatten)]
+        choice: Chosen,
     },
+}
+
+/// How a task is done, where it leaves a choice.
+#[derive(Clone, Debug, Default, clap::Args)]
+struct Chosen {
+    /// Do it with this synthetic patient, one of the task's
+    #[arg(long, value_name = "SEED")]
+    patient: Option<u32>,
+    /// Do it at this level, one of the task's
+    #[arg(long, value_name = "NAME")]
+    level: Option<String>,
+}
+
+impl Chosen {
+    fn choice(&self) -> Choice {
+        Choice { patient: self.patient, level: self.level.clone() }
+    }
 }
 
 /// A demonstration in the browser begins so late that one sees its beginning [s]: a choice.
@@ -54,6 +73,8 @@ pub(super) const DEMONSTRATION_WAITS_S: f64 = 3.0;
 struct Run {
     /// A name of `glisson task list`, or a scene file with a [task]
     task: String,
+    #[command(flatten)]
+    choice: Chosen,
     /// Follow the paths of the scene's instruments without a window; exit code 1 if the task is not passed
     #[arg(long)]
     headless: bool,
@@ -82,7 +103,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     match &args.verb {
         Verb::List { json } => list(*json),
         Verb::Run(args) => do_task(args),
-        Verb::Check { task } => check(task),
+        Verb::Check { task, choice } => check(task, &choice.choice()),
     }
 }
 
@@ -96,7 +117,7 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     if as_json {
         let row = |(name, task): &(&str, glisson::scene::TaskSource)| {
             let stages: Vec<&str> = task.stages.iter().map(|stage| stage.title.as_str()).collect();
-            json!({ "name": name, "title": task.title, "about": task.about, "stages": stages, "time_limit_s": task.time_limit_s })
+            json!({ "name": name, "title": task.title, "about": task.about, "stages": stages, "time_limit_s": task.time_limit_s, "levels": task.levels, "patients": task.patients })
         };
         println!("{}", serde_json::Value::from(all.iter().map(row).collect::<Vec<_>>()));
         return Ok(());
@@ -105,16 +126,24 @@ fn list(as_json: bool) -> anyhow::Result<()> {
     for (name, task) in &all {
         println!("{name:width$}  {} ({:.0} s)", task.title, task.time_limit_s);
         println!("{:width$}  {}", "", task.about);
+        if !task.levels.is_empty() {
+            println!("{:width$}  --level {}", "", task.levels.join(", "));
+        }
+        if !task.patients.is_empty() {
+            let patients: Vec<String> = task.patients.iter().map(u32::to_string).collect();
+            println!("{:width$}  --patient {}", "", patients.join(", "));
+        }
     }
     println!("\nDo one with `glisson task run {}`.", all.first().map_or("NAME", |(name, _)| name));
     Ok(())
 }
 
 /// A task of the program, or a scene file with one.
-pub(super) fn open(task: &str, n_threads: usize) -> anyhow::Result<OpenScene> {
+pub(super) fn open(task: &str, choice: &Choice, n_threads: usize) -> anyhow::Result<OpenScene> {
+    let chosen_scene = |text: &str| -> anyhow::Result<Scene> { Ok(Scene::parse(&choose(text, choice)?)?) };
     let source = match task_named(task) {
         Some(text) => OpenScene {
-            scene: Scene::parse(text).with_context(|| format!("the task {task}"))?,
+            scene: chosen_scene(text).with_context(|| format!("the task {task}"))?,
             folder: PathBuf::from("."),
             origin: format!("the task {task}"),
             n_threads,
@@ -126,7 +155,9 @@ pub(super) fn open(task: &str, n_threads: usize) -> anyhow::Result<OpenScene> {
                 let suggestion = glisson::text::did_you_mean(task, &known);
                 bail!("there is no task and no file \"{task}\"{suggestion}; tasks: {}", known.join(", "));
             }
-            OpenScene { n_threads, ..OpenScene::read(&path)? }
+            let read = OpenScene::read(&path)?;
+            let scene = chosen_scene(&read.scene.text).with_context(|| read.origin.clone())?;
+            OpenScene { n_threads, scene, ..read }
         }
     };
     if source.scene.task.is_none() {
@@ -170,8 +201,8 @@ struct Followed<'a> {
     scene_folder: PathBuf,
 }
 
-fn check(task: &str) -> anyhow::Result<()> {
-    let source = open(task, 1)?;
+fn check(task: &str, choice: &Choice) -> anyhow::Result<()> {
+    let source = open(task, choice, 1)?;
     let (scene, origin) = (source.scene.clone(), source.origin.clone());
     let simulation = Simulation::open(source, None)?;
     let task = scene.task.as_ref().context("a scene without a task was refused")?;
@@ -201,7 +232,7 @@ fn do_task(args: &Run) -> anyhow::Result<()> {
     }
     // A taken port is better known before the work than after it.
     let listener = if args.headless { None } else { Some(args.address.bind()?) };
-    let source = open(&args.task, usize::from(args.threads))?;
+    let source = open(&args.task, &args.choice.choice(), usize::from(args.threads))?;
     let mut script = None;
     if args.headless || args.demonstrate {
         let waits_s = if args.headless { 0.0 } else { DEMONSTRATION_WAITS_S };
@@ -211,7 +242,7 @@ fn do_task(args: &Run) -> anyhow::Result<()> {
     }
     let (files, scene_folder) = (args.files(), source.folder.clone());
     let session = files.with(".jsonl");
-    let attempt = args.keeping.attempt(&args.name(), &source.scene.text, &session)?;
+    let attempt = args.keeping.attempt(&args.name(), &source.scene, &session)?;
     let keeper = args.keeping.keeper(&attempt, &args.out)?;
     let mut simulation = Simulation::open(source, Some(&session))?;
     if let Some(script) = script {

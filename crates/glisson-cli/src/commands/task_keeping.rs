@@ -3,6 +3,7 @@
 use super::results::Database;
 use crate::text_file::write_text;
 use anyhow::{Context, bail};
+use glisson::scene::Scene;
 use glisson::training::task::{TaskRecord, TaskResult};
 use glisson_results::attempt::scene_hash;
 use glisson_results::name::checked_name;
@@ -40,15 +41,15 @@ pub(super) fn time_in_names(text: &str) -> String {
 
 impl KeepingArgs {
     /// Who did what; it is over now.
-    pub(super) fn attempt(&self, task: &str, scene_text: &str, session: &Path) -> anyhow::Result<Attempt> {
+    pub(super) fn attempt(&self, task: &str, scene: &Scene, session: &Path) -> anyhow::Result<Attempt> {
         let session = std::path::absolute(session).unwrap_or_else(|_| session.into());
         Ok(Attempt {
             person: self.person.as_deref().map(checked_name).transpose().context("--person")?,
             task: task.to_owned(),
-            scene_hash: scene_hash(scene_text),
+            scene_hash: scene_hash(&scene.text),
             finished_at: now_text(),
-            seed: None,
-            level: None,
+            seed: scene.patient(),
+            level: scene.task.as_ref().and_then(|task| task.level.clone()),
             session: Some(session.display().to_string()),
         })
     }
@@ -224,7 +225,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let database = Database { database: Some(folder.path().join("r.sqlite")) };
         let args = KeepingArgs { person: Some("Ada".into()), database, group: None };
-        let attempt = args.attempt("touch", TASK, Path::new("s.jsonl")).unwrap();
+        let attempt = args.attempt("touch", &Scene::parse(TASK).unwrap(), Path::new("s.jsonl")).unwrap();
         let keeper = args.keeper(&attempt, folder.path()).unwrap().unwrap();
         let scene = Scene::parse(TASK).unwrap();
         let source =

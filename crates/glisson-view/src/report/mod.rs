@@ -70,6 +70,9 @@ fn write_report(
         None => ("bad", "Not finished."),
     };
     write!(html, "<p class=\"{class}\">{how}</p>")?;
+    if let Some(level) = &result.level {
+        write!(html, "<p>Level: {}.</p>", escaped(level))?;
+    }
     if let Some(back) = back {
         write!(html, "<p><a href=\"{}\">Back to the simulation</a></p>", escaped(back))?;
     }

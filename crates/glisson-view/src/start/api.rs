@@ -45,6 +45,8 @@ struct TaskChoice {
     name: String,
     #[serde(default)]
     demonstrate: bool,
+    patient: Option<u32>,
+    level: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -81,7 +83,9 @@ async fn start_task(State(shared): State<Arc<Shared>>, Json(choice): Json<TaskCh
     if choice.demonstrate && !task.has_demonstration {
         return (StatusCode::NOT_FOUND, "the task has no demonstration\n").into_response();
     }
-    let chosen = Choice::Task { name: task.name, demonstrate: choice.demonstrate };
+    let TaskChoice { demonstrate, patient, level, .. } = choice;
+    let chosen =
+        Choice::Task { name: task.name, demonstrate, variant: glisson::scene::Choice { patient, level } };
     begin(&shared.making, task.title().to_owned(), move || Ok(chosen))
 }
 

@@ -28,6 +28,9 @@ pub(super) struct TaskLine {
     about: String,
     stages: Vec<String>,
     time_limit_s: f64,
+    levels: Vec<String>,
+    level: Option<String>,
+    patients: Vec<u32>,
     /// Its instruments have paths that do it.
     pub(super) has_demonstration: bool,
 }
@@ -69,9 +72,9 @@ pub(super) fn tasks() -> anyhow::Result<Vec<TaskLine>> {
         let scene = Scene::parse(text).with_context(|| format!("the task {name}"))?;
         let has_demonstration = scene.paths.iter().any(|path| !path.is_empty());
         let task = scene.task.with_context(|| format!("the scene {name} has no task"))?;
-        let TaskSource { title, about, stages, time_limit_s, .. } = task;
+        let TaskSource { title, about, stages, time_limit_s, levels, level, patients, .. } = task;
         let stages = stages.into_iter().map(|stage| stage.title).collect();
-        Ok(TaskLine { name, title, about, stages, time_limit_s, has_demonstration })
+        Ok(TaskLine { name, title, about, stages, time_limit_s, levels, level, patients, has_demonstration })
     };
     TASKS.iter().map(line).collect()
 }
@@ -164,7 +167,7 @@ mod tests {
         let tasks = tasks().unwrap();
         let names: Vec<_> = tasks.iter().map(|task| task.name).collect();
         assert_eq!(names, TASKS.iter().map(|(name, _)| *name).collect::<Vec<_>>());
-        for TaskLine { name, title, about, stages, time_limit_s, has_demonstration } in tasks {
+        for TaskLine { name, title, about, stages, time_limit_s, has_demonstration, .. } in tasks {
             assert!(!title.is_empty() && !about.is_empty() && !stages.is_empty(), "{name}");
             assert!(time_limit_s > 0.0 && has_demonstration, "{name}");
         }

@@ -22,6 +22,8 @@ pub enum Choice {
         name: &'static str,
         /// Its demonstration leads the instruments.
         demonstrate: bool,
+        /// With which patient and at which level.
+        variant: glisson::scene::Choice,
     },
     /// A scene file.
     Scene {

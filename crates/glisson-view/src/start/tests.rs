@@ -121,8 +121,10 @@ fn what_is_listed_is_started_and_a_second_page_sees_that_it_is() {
     assert_eq!(offers["scenes"].as_array().unwrap().len(), 1);
     assert_eq!(offers["scenes"][0]["file"], page.file("block.toml"));
     assert_eq!(offers["scenes"][0]["name"], "a block");
-    assert_eq!(page.post("task", &json!({"name": "palpation", "demonstrate": true})).0, 202);
-    assert_eq!(page.chosen.recv().unwrap(), Choice::Task { name: "palpation", demonstrate: true });
+    let asked = json!({"name": "palpation", "demonstrate": true, "patient": 4, "level": "hard"});
+    assert_eq!(page.post("task", &asked).0, 202);
+    let variant = glisson::scene::Choice { patient: Some(4), level: Some("hard".into()) };
+    assert_eq!(page.chosen.recv().unwrap(), Choice::Task { name: "palpation", demonstrate: true, variant });
     let job = page.get("/api/page");
     assert_eq!(job["job"]["share"], 0.5);
     assert_eq!(job["error"], Value::Null);

@@ -3,7 +3,9 @@
 use crate::math::DVec3;
 use crate::text::{closest_name, did_you_mean};
 use crate::units::{Dimension, UnitError, parse_quantity};
+use std::collections::BTreeMap;
 use std::ops::{Range, RangeInclusive};
+use std::rc::Rc;
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
@@ -82,7 +84,11 @@ pub(crate) struct Section<'a> {
     table: &'a DeTable<'a>,
     span: Range<usize>,
     asked: Vec<&'static str>,
+    places: Rc<Places>,
 }
+
+/// Points [m] that other points of the scene may be given by.
+pub(crate) type Places = BTreeMap<String, DVec3>;
 
 /// A value in its place.
 pub(crate) type Value<'a> = &'a Spanned<DeValue<'a>>;
@@ -103,7 +109,12 @@ pub(crate) fn parse_toml(text: &str) -> Result<Spanned<DeTable<'_>>, SceneError>
 impl<'a> Section<'a> {
     pub(crate) fn root(text: &'a str, document: &'a Spanned<DeTable<'a>>) -> Self {
         let (name, table, span) = ("the scene".to_string(), document.get_ref(), 0..0);
-        Self { text, name, table, span, asked: Vec::new() }
+        Self { text, name, table, span, asked: Vec::new(), places: Rc::default() }
+    }
+
+    /// From now on points may be given by these names.
+    pub(crate) fn know_places(&mut self, places: Places) {
+        self.places = Rc::new(places);
     }
 
     fn error(&self, span: &Range<usize>, problem: SceneProblem) -> SceneError {
@@ -238,9 +249,33 @@ impl<'a> Section<'a> {
         }
     }
 
-    /// Three lengths.
+    /// Three lengths, the name of a place, or a place with three lengths beside it: `{ place, plus }`.
     pub(crate) fn point(&mut self, key: &'static str) -> Result<Option<DVec3>, SceneError> {
-        self.vector(key, Dimension::Length)
+        let Some(value) = self.table.get(key) else { return self.vector(key, Dimension::Length) };
+        if let Some(name) = value.get_ref().as_str() {
+            self.asked.push(key);
+            return self.place_named(key, name, value).map(Some);
+        }
+        if !value.get_ref().is_table() {
+            return self.vector(key, Dimension::Length);
+        }
+        let Some(mut table) = self.section(key)? else { return Ok(None) };
+        let (name, at) =
+            table.string("place")?.ok_or_else(|| table.missing("place", "place = \"nodule\""))?;
+        let place_m = table.place_named("place", &name, at)?;
+        let plus_m = table.vector("plus", Dimension::Length)?.unwrap_or(DVec3::ZERO);
+        table.finish()?;
+        Ok(Some(place_m + plus_m))
+    }
+
+    fn place_named(&self, key: &str, name: &str, at: Value<'_>) -> Result<DVec3, SceneError> {
+        self.places.get(name).copied().ok_or_else(|| {
+            let names: Vec<&str> = self.places.keys().map(String::as_str).collect();
+            let known = if names.is_empty() { "none".into() } else { names.join(", ") };
+            let allowed =
+                format!("three lengths, or a [[place]] of the scene: {known}{}", did_you_mean(name, &names));
+            self.wrong_value(at, key, format!("\"{name}\""), &allowed)
+        })
     }
 
     /// Three lengths that have to be there.
@@ -277,6 +312,26 @@ impl<'a> Section<'a> {
                 Err(self.wrong_value(at, key, n.to_string(), &allowed))
             }
         }
+    }
+
+    /// A list of whole numbers.
+    pub(crate) fn whole_numbers(
+        &mut self,
+        key: &'static str,
+        allowed: RangeInclusive<u64>,
+    ) -> Result<Option<Vec<u64>>, SceneError> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        let wrong = || self.wrong_type(value, key, "a list of whole numbers");
+        let list = value.get_ref().as_array().ok_or_else(wrong)?;
+        let each = |item: Value<'a>| {
+            let n = self.number_of(key, item)?;
+            if n.fract() == 0.0 && n >= 0.0 && allowed.contains(&(n as u64)) {
+                return Ok(n as u64);
+            }
+            let range = format!("whole numbers from {} to {}", allowed.start(), allowed.end());
+            Err(self.wrong_value(item, key, n.to_string(), &range))
+        };
+        list.iter().map(each).collect::<Result<_, _>>().map(Some)
     }
 
     /// A list of texts.
@@ -356,6 +411,15 @@ impl<'a> Section<'a> {
         array.iter().map(name).collect::<Result<_, _>>().map(Some)
     }
 
+    /// The value at a path of tables, of lists of tables the first; nothing of it counts as asked for.
+    pub(crate) fn value_at(&self, path: &[&str]) -> Option<Value<'a>> {
+        let (first, rest) = path.split_first()?;
+        rest.iter().try_fold(self.table.get(*first)?, |value, key| {
+            let table = value.get_ref().as_array().map_or(value, |list| list.first().unwrap_or(value));
+            table.get_ref().as_table()?.get(*key)
+        })
+    }
+
     /// Whether `key` is there; it still has to be asked for.
     pub(crate) fn has(&self, key: &str) -> bool {
         self.table.get(key).is_some()
@@ -383,9 +447,14 @@ impl<'a> Section<'a> {
 
     fn section_of(&self, name: String, key: &str, value: Value<'a>) -> Result<Section<'a>, SceneError> {
         match value.get_ref().as_table() {
-            Some(table) => {
-                Ok(Section { text: self.text, name, table, span: value.span(), asked: Vec::new() })
-            }
+            Some(table) => Ok(Section {
+                text: self.text,
+                name,
+                table,
+                span: value.span(),
+                asked: Vec::new(),
+                places: Rc::clone(&self.places),
+            }),
             None => Err(self.wrong_type(value, key, "a table")),
         }
     }

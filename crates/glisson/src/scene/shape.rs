@@ -232,7 +232,7 @@ fn read_phantom(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {
     Ok(BodyShape::Phantom(PhantomOrgan { organ, seed, n_tetrahedra, parts, has_vessels: vessels }))
 }
 
-fn tissue_named(
+pub(super) fn tissue_named(
     table: &Section<'_>,
     key: &'static str,
     name: &str,

@@ -8,7 +8,9 @@ use super::instrument::{
     CutRules, InstrumentSource, PathPoint, embeds, read_tool, tool_on_path, tool_sections,
 };
 use super::organ::OrganSource;
+use super::place::{patient_of, read_places};
 use super::reader::{SceneError, Section, parse_toml};
+use super::shape::BodyShape;
 use super::simulation::read_simulation;
 use super::suture::read_sutures;
 use super::task::{TaskSource, read_task};
@@ -84,6 +86,9 @@ impl Scene {
         let document = parse_toml(text)?;
         let mut root = Section::root(text, &document);
         check_version(&mut root)?;
+        let places = root.sections("place")?;
+        let places = read_places(places, patient_of(&root))?;
+        root.know_places(places);
         let name = root.string("name")?.map_or_else(|| "unnamed scene".to_string(), |n| n.0);
         let simulation = root.section("simulation")?;
         let contact = root.section("contact")?;
@@ -159,6 +164,14 @@ impl Scene {
         let task = task.map(|task| read_task(task, &world.tools)).transpose()?;
         let (most_parts, text) = (simulation.most_parts, text.to_string());
         Ok(Self { world, organ, bodies, attachments, most_parts, paths, tool_shapes, task, text })
+    }
+
+    /// The synthetic patient that its first organ is of, if it is of one.
+    pub fn patient(&self) -> Option<u32> {
+        match &self.organ.shape.shape {
+            BodyShape::Phantom(organ) => u32::try_from(organ.seed).ok(),
+            _ => None,
+        }
     }
 
     /// Whether the cuts of its instruments are embedded.

@@ -238,8 +238,20 @@ impl Anatomy {
         all.grown(8e-3)
     }
 
-    /// The liver with all that lies inside it.
-    fn liver(&self, p: DVec3) -> f64 {
+    /// The middle of an organ that is one shape.
+    pub(super) fn middle_m(&self, tissue: Tissue) -> Option<DVec3> {
+        match tissue {
+            Tissue::LiverTumour => Some(self.tumour.center_m),
+            Tissue::Spleen => Some(self.spleen.center_m),
+            Tissue::KidneyRight => Some(self.kidneys[0].center_m),
+            Tissue::KidneyLeft => Some(self.kidneys[1].center_m),
+            Tissue::GallBladder => Some((self.gall_bladder.ends_m[0] + self.gall_bladder.ends_m[1]) * 0.5),
+            _ => None,
+        }
+    }
+
+    /// The liver with all that lies inside it: negative inside.
+    pub(super) fn liver(&self, p: DVec3) -> f64 {
         let lobes = smooth_union(self.right_lobe.at(p), self.middle_lobe.at(p), 20e-3);
         let mut f = smooth_union(lobes, self.left_lobe.at(p), 15e-3);
         // Impressions and unevenness matter only near the surface.

@@ -221,6 +221,45 @@ pub fn truth(seed: u64, voxel_m: f64) -> PhantomTruth {
     paint(seed, voxel_m).1
 }
 
+/// Places of a synthetic patient, by its shapes and not by voxels.
+pub struct PhantomPlaces {
+    anatomy: Anatomy,
+}
+
+/// How far a way out is looked for, and by which steps [m].
+const FURTHEST_OUT_M: f64 = 0.4;
+const WAY_OUT_STEP_M: f64 = 1e-3;
+
+impl PhantomPlaces {
+    /// Of the patient of `seed`.
+    pub fn new(seed: u64) -> Self {
+        Self { anatomy: Anatomy::new(seed) }
+    }
+
+    /// The middle of the tumour, the gall bladder, the spleen or a kidney [m]; none of what has no middle worth naming.
+    pub fn middle_m(&self, tissue: Tissue) -> Option<DVec3> {
+        self.anatomy.middle_m(tissue)
+    }
+
+    /// Where the way from a place inside the liver, straight along a unit vector, leaves it [m]; none from outside.
+    pub fn way_out_of_liver_m(&self, from_m: DVec3, toward: DVec3) -> Option<DVec3> {
+        let f = |away_m: f64| self.anatomy.liver(from_m + toward * away_m);
+        if f(0.0) >= 0.0 {
+            return None;
+        }
+        let steps = (1..).map(|step| f64::from(step) * WAY_OUT_STEP_M);
+        let mut out_m =
+            steps.take_while(|away_m| *away_m <= FURTHEST_OUT_M).find(|away_m| f(*away_m) >= 0.0)?;
+        let mut in_m = out_m - WAY_OUT_STEP_M;
+        // To a nanometre.
+        for _ in 0..20 {
+            let middle_m = 0.5 * (in_m + out_m);
+            *(if f(middle_m) < 0.0 { &mut in_m } else { &mut out_m }) = middle_m;
+        }
+        Some(from_m + toward * out_m)
+    }
+}
+
 /// CT numbers [HU] without blur and noise, and the truth.
 fn paint(seed: u64, voxel_m: f64) -> (Vec<f32>, PhantomTruth) {
     assert!((0.5e-3..=10e-3).contains(&voxel_m), "voxels of 0.5 mm to 10 mm");

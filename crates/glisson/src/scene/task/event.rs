@@ -86,13 +86,14 @@ const EFFECTS: [&str; 4] = ["bleed", "light_out", "fail", "jerk"];
 const EFFECT_EXAMPLE: &str = "light_out = { for = \"5 s\" }; exactly one of bleed, light_out, fail, jerk";
 const FOR: &str = "for = \"5 s\"";
 
-/// The events of a task with these instruments and so many stages; `seed` draws times at random.
+/// The events of a task with these instruments and so many stages, each with the levels that it comes at, or none for all; `seed`
+/// draws times at random.
 pub(super) fn read_events(
     sections: Vec<Section<'_>>,
     tools: &[Tool],
     n_stages: usize,
     seed: u64,
-) -> Result<Vec<EventSource>, SceneError> {
+) -> Result<Vec<(EventSource, Vec<String>)>, SceneError> {
     let numbered = sections.into_iter().zip(0_u64..);
     numbered.map(|(section, number)| read_event(section, tools, n_stages, (seed, number))).collect()
 }
@@ -102,13 +103,14 @@ fn read_event(
     tools: &[Tool],
     n_stages: usize,
     seed: (u64, u64),
-) -> Result<EventSource, SceneError> {
+) -> Result<(EventSource, Vec<String>), SceneError> {
     let title =
         section.string("title")?.ok_or_else(|| section.missing("title", "title = \"The light fails\""))?.0;
     let time = read_time(&mut section, n_stages, seed)?;
     let effect = read_effect(&mut section, tools)?;
+    let levels = section.strings("levels")?.map(|levels| levels.0).unwrap_or_default();
     section.finish()?;
-    Ok(EventSource { title, time, effect })
+    Ok((EventSource { title, time, effect }, levels))
 }
 
 /// `at`, `between`, or `stage` with `after`.

@@ -4,15 +4,20 @@ mod tool_name;
 mod line;
 mod goal;
 mod event;
+mod gate;
+mod level;
 
 pub(crate) use event::share_of_jerk;
 pub use event::{EffectSource, EventSource, EventTime};
+pub use gate::GateSource;
 pub use goal::GoalSource;
 pub use line::LineSource;
 
 use super::reader::{SceneError, Section};
 use crate::tool::Tool;
 use crate::units::Dimension;
+use gate::read_gate;
+use level::{Levels, read_patients};
 
 /// A task as a scene says it.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,25 +36,14 @@ pub struct TaskSource {
     pub force_threshold_n: Option<f64>,
     /// What must not happen, whatever else was good.
     pub gate: GateSource,
-    /// What happens to who does it.
+    /// What happens to who does it, at its level.
     pub events: Vec<EventSource>,
-}
-
-/// A safety gate: who goes beyond one of these, or stays below a least one, does not pass.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct GateSource {
-    /// Greatest force on an instrument [N].
-    pub peak_force_n: Option<f64>,
-    /// Blood lost [m3].
-    pub blood_m3: Option<f64>,
-    /// Tissue taken out [m3].
-    pub removed_m3: Option<f64>,
-    /// Mistakes.
-    pub n_mistakes: Option<u32>,
-    /// Times that tissue slipped out of the jaws.
-    pub n_slips: Option<u32>,
-    /// Least distance of a cut from what is to be excised [m].
-    pub least_margin_m: Option<f64>,
+    /// The level that it is done at; none if it has no levels.
+    pub level: Option<String>,
+    /// All levels.
+    pub levels: Vec<String>,
+    /// Synthetic patients that may be chosen.
+    pub patients: Vec<u32>,
 }
 
 /// A part of a task.
@@ -73,15 +67,13 @@ const HINT_AFTER_S: f64 = 30.0;
 const LONGEST_S: f64 = 3600.0;
 /// Stages, and events, of a task at most: a choice.
 const MOST_STAGES: usize = 50;
-/// Mistakes and slips are counted up to this.
-const MOST: u64 = 1000;
 
 /// The task of a scene with these instruments.
 pub(super) fn read_task(mut section: Section<'_>, tools: &[Tool]) -> Result<TaskSource, SceneError> {
     let title = section.string("title")?.ok_or_else(|| section.missing("title", "title = \"Palpation\""))?.0;
     let about = section.string("about")?.map(|about| about.0).unwrap_or_default();
     let begins_in_theatre = read_view(&mut section, tools)?;
-    let time_limit_s = section.positive("time_limit", Dimension::Time)?.unwrap_or(LONGEST_S);
+    let mut time_limit_s = section.positive("time_limit", Dimension::Time)?.unwrap_or(LONGEST_S);
     let force_threshold_n = section.positive("force_threshold", Dimension::Force)?;
     let sections = section.sections("stage")?;
     if sections.is_empty() {
@@ -91,9 +83,9 @@ pub(super) fn read_task(mut section: Section<'_>, tools: &[Tool]) -> Result<Task
         let found = format!("{} stages", sections.len());
         return Err(section.wrong_table("stage", found, format!("at most {MOST_STAGES}")));
     }
-    let stages: Vec<StageSource> =
+    let mut stages: Vec<StageSource> =
         sections.into_iter().map(|stage| read_stage(stage, tools)).collect::<Result<_, _>>()?;
-    let gate = section.section("gate")?.map(read_gate).transpose()?.unwrap_or_default();
+    let mut gate = section.section("gate")?.map(read_gate).transpose()?.unwrap_or_default();
     let seed = section.whole_number("seed", 0..=u64::from(u32::MAX))?.unwrap_or(0);
     let events = section.sections("event")?;
     if events.len() > MOST_STAGES {
@@ -101,8 +93,32 @@ pub(super) fn read_task(mut section: Section<'_>, tools: &[Tool]) -> Result<Task
         return Err(section.wrong_table("event", found, format!("at most {MOST_STAGES}")));
     }
     let events = event::read_events(events, tools, stages.len(), seed)?;
+    let levels = Levels::read(&mut section)?;
+    let events = levels.events(&section, events)?;
+    if let Some(level) = levels.chosen {
+        time_limit_s = level.time_limit_s.unwrap_or(time_limit_s);
+        gate = level.gate.unwrap_or(gate);
+        for stage in &mut stages {
+            stage.hint_after_s = level.hint_after_s.unwrap_or(stage.hint_after_s);
+            stage.hint = stage.hint.take().filter(|_| level.has_hints);
+        }
+    }
+    let patients = read_patients(&mut section)?;
     section.finish()?;
-    Ok(TaskSource { title, about, begins_in_theatre, stages, time_limit_s, force_threshold_n, gate, events })
+    let (level, levels) = (levels.name, levels.names);
+    Ok(TaskSource {
+        title,
+        about,
+        begins_in_theatre,
+        stages,
+        time_limit_s,
+        force_threshold_n,
+        gate,
+        events,
+        level,
+        levels,
+        patients,
+    })
 }
 
 /// `view`: whether the task begins with the endoscope's picture.
@@ -117,20 +133,6 @@ fn read_view(section: &mut Section<'_>, tools: &[Tool]) -> Result<bool, SceneErr
             Err(section.wrong_value(at, "view", format!("\"{view}\""), allowed))
         }
     }
-}
-
-fn read_gate(mut section: Section<'_>) -> Result<GateSource, SceneError> {
-    let count = |n: Option<u64>| n.map(|n| n as u32);
-    let gate = GateSource {
-        peak_force_n: section.positive("peak_force", Dimension::Force)?,
-        blood_m3: section.positive("blood", Dimension::Volume)?,
-        removed_m3: section.positive("removed", Dimension::Volume)?,
-        n_mistakes: count(section.whole_number("mistakes", 0..=MOST)?),
-        n_slips: count(section.whole_number("slips", 0..=MOST)?),
-        least_margin_m: section.positive("margin", Dimension::Length)?,
-    };
-    section.finish()?;
-    Ok(gate)
 }
 
 fn read_stage(mut section: Section<'_>, tools: &[Tool]) -> Result<StageSource, SceneError> {

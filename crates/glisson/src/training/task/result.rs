@@ -87,6 +87,8 @@ pub struct GestureTime {
 pub struct TaskResult {
     /// What the task is called.
     pub title: String,
+    /// The level that it was done at; none if it has no levels.
+    pub level: Option<String>,
     /// How it ended; none while it goes on, or where it broke off.
     pub outcome: Option<Outcome>,
     /// Simulated time at which it began [s]; none before an instrument has moved. All other times count from then on.
@@ -164,6 +166,7 @@ impl TaskRecord {
         }));
         TaskResult {
             title: task.title.clone(),
+            level: task.level.clone(),
             outcome: *outcome,
             began_s: *began_s,
             is_passed: *outcome == Some(Outcome::Done) && gate.iter().all(|line| line.is_kept),

@@ -1,0 +1,125 @@
+//! What may be chosen of a scene with a task: its patient and its level. The choice is written into the scene's text, so that a session
+//! holds it.
+
+use super::reader::{SceneError, Section, parse_toml};
+use super::spec::Scene;
+use std::ops::Range;
+
+/// What is chosen; nothing of what is left out.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Choice {
+    /// The synthetic patient: one of the task's `patients`.
+    pub patient: Option<u32>,
+    /// The level: one of the task's.
+    pub level: Option<String>,
+}
+
+/// The text of a scene with this choice.
+///
+/// # Errors
+/// [`SceneError`] where the scene cannot be read, or has not what is chosen.
+pub fn choose(text: &str, choice: &Choice) -> Result<String, SceneError> {
+    let scene = Scene::parse(text)?;
+    let document = parse_toml(text)?;
+    let root = Section::root(text, &document);
+    let mut edits: Vec<(Range<usize>, String)> = Vec::new();
+    let task = scene.task.as_ref();
+    if let Some(patient) = choice.patient {
+        let patients = task.map_or(&[][..], |task| &task.patients[..]);
+        let seed = root.value_at(&["organ", "phantom", "seed"]);
+        match seed.filter(|_| patients.contains(&patient)) {
+            Some(seed) => edits.push((seed.span(), patient.to_string())),
+            None => {
+                let names: Vec<String> = patients.iter().map(u32::to_string).collect();
+                return Err(no_such(&root, "patients", &patient.to_string(), &names));
+            }
+        }
+    }
+    if let Some(level) = &choice.level {
+        let levels = task.map_or(&[][..], |task| &task.levels[..]);
+        let chosen = root.value_at(&["task", "level"]);
+        match chosen.filter(|_| levels.contains(level)) {
+            Some(value) => edits.push((value.span(), format!("{level:?}"))),
+            None => return Err(no_such(&root, "level", &format!("\"{level}\""), levels)),
+        }
+    }
+    // From the end on, so that places before stay where they are.
+    edits.sort_by_key(|(span, _)| std::cmp::Reverse(span.start));
+    let mut text = text.to_string();
+    edits.into_iter().for_each(|(span, new)| text.replace_range(span, &new));
+    Ok(text)
+}
+
+fn no_such(root: &Section<'_>, key: &str, found: &str, allowed: &[String]) -> SceneError {
+    let allowed = if allowed.is_empty() { "none: the task has no choice".into() } else { allowed.join(", ") };
+    match root.value_at(&["task"]) {
+        Some(task) => root.wrong_value(task, key, found.to_owned(), &allowed),
+        None => root.wrong_table(key, found.to_owned(), allowed),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::DVec3;
+    use crate::scene::GoalSource;
+
+    const SCENE: &str = "glisson_scene = 1\n[[place]]\nname = \"nodule\"\nmiddle_of = \"liver_tumour\"\ntoward = [0, -1, 0]\n\
+        [organ]\nphantom = { organ = \"liver\", seed = 26, tetrahedra = 900 } # one of five\ntissue = \"liver\"\nmodel = \"implicit\"\n\
+        [tool]\nname = \"probe\"\ntip_radius = \"5 mm\"\nhome_tip = { place = \"nodule\", plus = [0, \"-50 mm\", 0] }\nhome_shaft = [0, -1, 0]\n\
+        [task]\ntitle = \"T\"\npatients = [26, 4]\nlevel = \"normal\"\ntime_limit = \"3 min\"\n\
+        [[task.levels]]\nname = \"normal\"\n[[task.levels]]\nname = \"hard\"\ntime_limit = \"1 min\"\nhints = false\ngate = { mistakes = 0 }\n\
+        [[task.event]]\ntitle = \"dark\"\nat = \"3 s\"\nlevels = [\"hard\"]\nlight_out = { for = \"1 s\" }\n\
+        [[task.stage]]\ntitle = \"a\"\nhint = \"h\"\nmark = { near = \"nodule\", within = \"9 mm\" }\n";
+
+    fn chosen(patient: Option<u32>, level: Option<&str>) -> Result<Scene, SceneError> {
+        let choice = Choice { patient, level: level.map(str::to_owned) };
+        choose(SCENE, &choice).map(|text| Scene::parse(&text).unwrap())
+    }
+
+    #[test]
+    fn places_go_with_the_patient() {
+        let near_m = |scene: &Scene| match scene.task.as_ref().unwrap().stages[0].goal {
+            GoalSource::Mark { near_m, .. } => near_m,
+            ref other => panic!("{other:?}"),
+        };
+        let (usual, other) = (chosen(None, None).unwrap(), chosen(Some(4), None).unwrap());
+        assert_eq!((usual.patient(), other.patient()), (Some(26), Some(4)));
+        let [a_m, b_m] = [&usual, &other].map(near_m);
+        assert!(a_m.distance(b_m) > 0.02, "{a_m} {b_m}");
+        // On the front of the liver, where the voxels of the same patient end.
+        assert!((a_m - DVec3::new(-0.0856, -0.048, -0.032)).abs().max_element() < 2e-3, "{a_m}");
+        assert_eq!(other.world.tools[0].home.tip_in_world_m, b_m - DVec3::Y * 0.05);
+        assert!(other.text.contains("seed = 4, tetrahedra = 900 } # one of five"));
+    }
+
+    #[test]
+    fn a_level_changes_limit_hints_gate_and_events() {
+        let of = |level| chosen(None, level).unwrap().task.unwrap();
+        let (normal, hard) = (of(None), of(Some("hard")));
+        assert_eq!((normal.time_limit_s, hard.time_limit_s), (180.0, 60.0));
+        assert_eq!((normal.stages[0].hint.as_deref(), hard.stages[0].hint.as_deref()), (Some("h"), None));
+        assert_eq!((normal.gate.n_mistakes, hard.gate.n_mistakes), (None, Some(0)));
+        assert_eq!((normal.events.len(), hard.events.len()), (0, 1));
+        assert_eq!((normal.level.as_deref(), hard.level.as_deref()), (Some("normal"), Some("hard")));
+    }
+
+    #[test]
+    fn what_is_not_there_is_not_chosen() {
+        for (patient, level, expected) in [
+            (Some(5), None, "\"patients\" is 5; allowed: 26, 4"),
+            (None, Some("easy"), "\"level\" is \"easy\"; allowed: normal, hard"),
+        ] {
+            let error = chosen(patient, level).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+        let without = SCENE.replace("near = \"nodule\"", "near = \"nodul\"");
+        let error = Scene::parse(&without).unwrap_err().to_string();
+        assert!(error.contains("a [[place]] of the scene: nodule; did you mean \"nodule\"?"), "{error}");
+        let outside = SCENE.replace("middle_of = \"liver_tumour\"", "inside = [0, \"-1 m\", 0]");
+        let error = Scene::parse(&outside).unwrap_err().to_string();
+        assert!(error.contains("from a place inside the liver"), "{error}");
+        let no_level = SCENE.replace("level = \"normal\"\n", "");
+        assert!(Scene::parse(&no_level).unwrap_err().to_string().contains("lacks \"level\""));
+    }
+}

@@ -1,0 +1,60 @@
+//! `[[place]]`: points of the synthetic patient that the other points of a scene are given by, so that it goes with other patients.
+
+use super::reader::{Places, SceneError, Section, Value};
+use super::shape::tissue_named;
+use crate::image::phantom::PhantomPlaces;
+use crate::math::DVec3;
+
+/// The synthetic patient of a scene's first organ; none if it is of no such patient.
+pub(super) fn patient_of(root: &Section<'_>) -> Option<u64> {
+    root.value_at(&["organ", "phantom"])?;
+    let seed = root.value_at(&["organ", "phantom", "seed"]).and_then(|seed| whole_number(seed));
+    Some(seed.unwrap_or(1))
+}
+
+/// Places of the scene whose organ is of the patient `seed`.
+pub(super) fn read_places(sections: Vec<Section<'_>>, seed: Option<u64>) -> Result<Places, SceneError> {
+    let mut places = Places::new();
+    let mut patient = None;
+    for section in sections {
+        let Some(seed) = seed else {
+            let found = "in a scene without an organ of the synthetic patient".to_string();
+            return Err(section.wrong_table("place", found, "beside phantom = { organ, seed }".into()));
+        };
+        let (name, place_m) = read_place(section, patient.get_or_insert_with(|| PhantomPlaces::new(seed)))?;
+        places.insert(name, place_m);
+    }
+    Ok(places)
+}
+
+/// A number that is written as one, if that is whole.
+fn whole_number(value: Value<'_>) -> Option<u64> {
+    value.get_ref().as_integer().and_then(|seed| u64::from_str_radix(seed.as_str(), seed.radix()).ok())
+}
+
+fn read_place(mut section: Section<'_>, patient: &PhantomPlaces) -> Result<(String, DVec3), SceneError> {
+    let name = section.string("name")?.ok_or_else(|| section.missing("name", "name = \"nodule\""))?.0;
+    let middle_of = section.string("middle_of")?;
+    let inside_m = section.point("inside")?;
+    let from_m = match (middle_of, inside_m) {
+        (Some((part, at)), None) => {
+            let tissue = tissue_named(&section, "middle_of", &part, at)?;
+            patient.middle_m(tissue).ok_or_else(|| {
+                let allowed = "liver_tumour, gall_bladder, spleen, kidney_right or kidney_left";
+                section.wrong_value(at, "middle_of", format!("\"{part}\""), allowed)
+            })?
+        }
+        (None, Some(inside_m)) => inside_m,
+        _ => return Err(section.missing_one_of(&["middle_of", "inside"], "middle_of = \"liver_tumour\"")),
+    };
+    let place_m = match section.direction("toward")? {
+        None => from_m,
+        Some(toward) => patient.way_out_of_liver_m(from_m, toward).ok_or_else(|| {
+            let found =
+                format!("from ({:.1}, {:.1}, {:.1}) mm", from_m.x * 1e3, from_m.y * 1e3, from_m.z * 1e3);
+            section.wrong_table("toward", found, "from a place inside the liver".into())
+        })?,
+    };
+    section.finish()?;
+    Ok((name, place_m))
+}

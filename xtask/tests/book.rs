@@ -144,6 +144,18 @@ fn every_picture_of_the_book_is_shown() {
 }
 
 #[test]
+fn every_task_is_in_the_surgeons_guide() {
+    let guide = text_of(&book().join("surgeons_guide.md"));
+    for entry in fs::read_dir(workspace().join("tasks")).unwrap() {
+        let name = entry.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned();
+        assert!(
+            guide.contains(&format!("(`{name}`)")),
+            "the table of tasks in surgeons_guide.md lacks `{name}`"
+        );
+    }
+}
+
+#[test]
 fn commands_in_the_book_have_verbs_of_the_program() {
     let known = verbs_of_the_program();
     assert!(known.contains("mesh-organs") && known.contains("task"), "{known:?}");

@@ -171,9 +171,10 @@ fn commands_in_the_book_have_verbs_of_the_program() {
 
 #[test]
 fn dead_links_and_unknown_verbs_are_found() {
-    let page = "[a](b.md) ![c](d.png \"e\") `[no](x)` [f `g`](h.md#i)\n```\n[no](y)\n  $ glisson serv z\n```\nas `glisson task list` or `cargo`\n";
-    assert_eq!(targets_of(page), ["b.md", "d.png", "h.md#i"]);
-    assert_eq!(verbs_of(page), ["serv", "task"]);
+    let prose = "[a](b.md) ![c](d.png \"e\") `[no](x)` [f `g`](h.md#i)\nas `glisson task list` or `cargo`\n";
+    let page = format!("{prose}```\n[no](y)\n  $ glisson serv z\n```\n");
+    assert_eq!(targets_of(&page), ["b.md", "d.png", "h.md#i"]);
+    assert_eq!(verbs_of(&page), ["task", "serv"]);
     assert!(is_of_a_file("a.md#b") && !is_of_a_file("#b") && !is_of_a_file("https://a.b/c"));
     assert_eq!(typed("MeshOrgans"), "mesh-organs");
 }

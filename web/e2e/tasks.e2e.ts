@@ -3,11 +3,11 @@
  * and leads to the report. The program is in GLISSON_PROGRAM.
  */
 import { execFileSync, spawn, type ChildProcess } from "node:child_process";
-import { mkdtempSync, rmSync } from "node:fs";
+import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
-import type { Browser } from "playwright-core";
+import type { Browser, Page } from "playwright-core";
 import { openPage, resultFile, startBrowser, waitForOrgan } from "./browser";
 
 const program = process.env.GLISSON_PROGRAM;
@@ -26,8 +26,8 @@ const LONGEST_MS = 120_000;
 const PICTURE_AFTER_MS = 6000;
 
 /** A task that serves itself; its address when it answers. */
-async function serve(task: Task, out: string): Promise<{ program: ChildProcess; url: string }> {
-  const child = spawn(program!, ["task", "run", task.name, "--demonstrate", "--no-open", "--port", "0", "--out", out]);
+async function serve(name: string, out: string): Promise<{ program: ChildProcess; url: string }> {
+  const child = spawn(program!, ["task", "run", name, "--demonstrate", "--no-open", "--port", "0", "--out", out]);
   return new Promise((resolve, reject) => {
     let text = "";
     const hear = (data: Buffer): void => {
@@ -37,8 +37,60 @@ async function serve(task: Task, out: string): Promise<{ program: ChildProcess; 
     };
     child.stdout.on("data", hear);
     child.stderr.on("data", hear);
-    child.on("exit", (code) => reject(new Error(`${task.name} ended with ${code}: ${text}`)));
+    child.on("exit", (code) => reject(new Error(`${name} ended with ${code}: ${text}`)));
   });
+}
+
+/** An endoscope that looks at a ball, an instrument that moves for a minute, and a lamp that fails when who teaches says so. */
+const DARK = `glisson_scene = 1
+[organ]
+ball = { center = ["0 mm", "0 mm", "0 mm"], radius = "30 mm" }
+edge = "10 mm"
+tissue = "liver"
+model = "precomputed"
+[[organ.fixed]]
+furthest = { direction = [0, 1, 0], fraction = 0.2 }
+[[tool]]
+name = "probe"
+tip_radius = "4 mm"
+home_tip = ["20 mm", "-60 mm", "0 mm"]
+home_shaft = [0, -1, 0]
+path = [{ time = "60 s", tip = ["-20 mm", "-60 mm", "0 mm"] }]
+[[tool]]
+name = "laparoscope"
+kind = "endoscope"
+tip_radius = "5 mm"
+shaft_radius = "5 mm"
+view_angle = "0 deg"
+home_tip = ["0 mm", "-90 mm", "0 mm"]
+home_shaft = [0, -1, 0]
+[task]
+title = "In the dark"
+view = "theatre"
+[[task.stage]]
+title = "Touch the ball"
+touch = { tool = "probe" }
+[[task.event]]
+title = "The light fails"
+light_out = { for = "4 s" }
+`;
+
+/** Mean brightness, 0 to 255, around the middle of the endoscope's picture. */
+async function brightness(page: Page): Promise<number> {
+  const [x, y] = await page.evaluate(() => {
+    const box = document.querySelector("#scene")!.getBoundingClientRect();
+    return [box.left + box.width / 2, box.top + box.height / 2];
+  });
+  const picture = await page.screenshot({ clip: { x: x - 20, y: y - 20, width: 40, height: 40 } });
+  return page.evaluate(async (base64) => {
+    const image = new Image();
+    image.src = `data:image/png;base64,${base64}`;
+    await image.decode();
+    const canvas = new OffscreenCanvas(40, 40).getContext("2d")!;
+    canvas.drawImage(image, 0, 0);
+    const { data } = canvas.getImageData(0, 0, 40, 40);
+    return data.reduce((sum, value, i) => sum + (i % 4 === 3 ? 0 : value), 0) / (3 * 1600);
+  }, picture.toString("base64"));
 }
 
 describe.skipIf(program === undefined)("the tasks in the page", () => {
@@ -54,8 +106,35 @@ describe.skipIf(program === undefined)("the tasks in the page", () => {
     rmSync(out, { recursive: true, force: true });
   });
 
+  it("an event that who teaches lets come takes the light away for its time", { timeout: 120_000 }, async () => {
+    const scene = join(out, "dark.toml");
+    writeFileSync(scene, DARK);
+    const { program: server, url } = await serve(scene, out);
+    try {
+      const { page, problems } = await openPage(browser);
+      await page.goto(url);
+      await waitForOrgan(page);
+      const event = page.locator("#task details.task-events");
+      await event.locator("summary").click();
+      const button = event.getByRole("button");
+      await expect.poll(() => button.isEnabled(), { timeout: 30_000 }).toBe(true);
+      await expect.poll(() => brightness(page), { timeout: 30_000 }).toBeGreaterThan(20);
+      await button.click();
+      await expect.poll(() => brightness(page), { timeout: 4000, interval: 100 }).toBeLessThan(2);
+      await page.screenshot({ path: resultFile("task-dark.png") });
+      expect(await button.textContent()).toMatch(/^The light fails: came after \d+\.\d s$/);
+      expect(await button.isEnabled()).toBe(false);
+      await expect.poll(() => brightness(page), { timeout: 60_000 }).toBeGreaterThan(20);
+      expect(problems).toEqual([]);
+      await page.close();
+    } finally {
+      server.removeAllListeners("exit");
+      server.kill();
+    }
+  });
+
   it.each(tasks)("$name is done by its demonstration", { timeout: 2 * LONGEST_MS }, async (task) => {
-    const { program: server, url } = await serve(task, out);
+    const { program: server, url } = await serve(task.name, out);
     try {
       const { page, problems } = await openPage(browser);
       await page.goto(url);

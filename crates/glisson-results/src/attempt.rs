@@ -135,6 +135,12 @@ impl Kept {
         if !is_utc_text(finished_at) {
             return wrong("finished_at", finished_at, "a time such as 2026-03-09T14:05:07.250Z");
         }
+        let texts = [("level", &self.attempt.level), ("session", &self.attempt.session)];
+        for (field, text) in texts.into_iter().filter_map(|(field, text)| Some((field, text.as_ref()?))) {
+            if text.chars().count() > 4096 || text.chars().any(char::is_control) {
+                return wrong(field, text, "at most 4096 printed letters");
+            }
+        }
         let result = AttemptResult::deserialize(&self.result).map_err(KeptError::Result)?;
         Ok((person, result))
     }

@@ -71,6 +71,10 @@ pub fn csv(results: &[StoredResult]) -> String {
 /// A line: fields with commas, quotes or line ends stand in quotes, and quotes in them are doubled.
 fn row(fields: &[String]) -> String {
     let quoted = |field: &String| {
+        // A spreadsheet would take it for a formula. Numbers begin with a digit or a minus and a digit.
+        let is_formula = field.starts_with(['=', '@', '+', '\t'])
+            || (field.starts_with('-') && field.parse::<f64>().is_err());
+        let field = if is_formula { &format!("'{field}") } else { field };
         if field.contains([',', '"', '\r', '\n']) {
             format!("\"{}\"", field.replace('"', "\"\""))
         } else {

@@ -155,40 +155,18 @@ impl Store {
     /// # Errors
     /// [`StoreError::Kept`] where a field is wrong; otherwise what the file does not allow. Nothing is stored then.
     pub fn add(&mut self, kept: &Kept) -> Result<Added, StoreError> {
-        let (person, read) = kept.checked()?;
-        let text = kept.result.to_string();
-        let Attempt { task, scene_hash, finished_at, seed, level, session, .. } = &kept.attempt;
-        let outcome = read.outcome.map(outcome_name);
-        let duration_s = read.metric("time", None).and_then(|metric| metric.value);
+        let all = self.add_all(std::slice::from_ref(kept))?;
+        Ok(all.into_iter().next().expect("one for each"))
+    }
+
+    /// The same of several, all or none.
+    ///
+    /// # Errors
+    /// As [`Store::add`].
+    pub fn add_all(&mut self, all: &[Kept]) -> Result<Vec<Added>, StoreError> {
+        let read: Vec<_> = all.iter().map(Kept::checked).collect::<Result<_, _>>()?;
         self.write(|transaction| {
-            transaction.execute("INSERT INTO person (name) VALUES (?1) ON CONFLICT DO NOTHING", [&person])?;
-            let person: i64 =
-                transaction.query_row("SELECT id FROM person WHERE name = ?1", [&person], |row| row.get(0))?;
-            let same = "SELECT id FROM result WHERE person = ?1 AND scene_hash = ?2 AND finished_at = ?3 AND result = ?4";
-            let found = transaction.query_row(same, params![person, scene_hash, finished_at, text], |row| row.get(0));
-            if let Some(id) = found.optional()? {
-                return Ok(Added::There(id));
-            }
-            let insert = "INSERT INTO result (person, task, title, scene_hash, finished_at, seed, level, is_passed, outcome, \
-                          duration_s, session, result) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)";
-            transaction.execute(
-                insert,
-                params![
-                    person, task, read.title, scene_hash, finished_at, seed, level, read.is_passed, outcome, duration_s,
-                    session, text
-                ],
-            )?;
-            let id = transaction.last_insert_rowid();
-            let mut insert =
-                transaction.prepare("INSERT INTO metric (result, name, tool, value, unit) VALUES (?1, ?2, ?3, ?4, ?5)")?;
-            for metric in &read.metrics {
-                // What is no number stays in the text alone.
-                if let Some(value) = metric.value.filter(|value| value.is_finite()) {
-                    let tool = metric.tool.as_deref().unwrap_or_default();
-                    insert.execute(params![id, metric.name, tool, value, metric.unit])?;
-                }
-            }
-            Ok(Added::New(id))
+            all.iter().zip(&read).map(|(kept, read)| insert(transaction, kept, read)).collect()
         })
     }
 
@@ -339,6 +317,57 @@ fn attempt(row: &Row<'_>) -> rusqlite::Result<Attempt> {
         level: row.get(6)?,
         session: row.get(7)?,
     })
+}
+
+/// Stores what was checked, once.
+fn insert(
+    transaction: &Transaction<'_>,
+    kept: &Kept,
+    (person, read): &(String, AttemptResult),
+) -> rusqlite::Result<Added> {
+    let text = kept.result.to_string();
+    let Attempt { task, scene_hash, finished_at, seed, level, session, .. } = &kept.attempt;
+    let outcome = read.outcome.map(outcome_name);
+    let duration_s = read.metric("time", None).and_then(|metric| metric.value);
+    transaction.execute("INSERT INTO person (name) VALUES (?1) ON CONFLICT DO NOTHING", [person])?;
+    let person: i64 =
+        transaction.query_row("SELECT id FROM person WHERE name = ?1", [person], |row| row.get(0))?;
+    let same =
+        "SELECT id FROM result WHERE person = ?1 AND scene_hash = ?2 AND finished_at = ?3 AND result = ?4";
+    let found = transaction.query_row(same, params![person, scene_hash, finished_at, text], |row| row.get(0));
+    if let Some(id) = found.optional()? {
+        return Ok(Added::There(id));
+    }
+    let insert = "INSERT INTO result (person, task, title, scene_hash, finished_at, seed, level, is_passed, outcome, \
+                  duration_s, session, result) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)";
+    transaction.execute(
+        insert,
+        params![
+            person,
+            task,
+            read.title,
+            scene_hash,
+            finished_at,
+            seed,
+            level,
+            read.is_passed,
+            outcome,
+            duration_s,
+            session,
+            text
+        ],
+    )?;
+    let id = transaction.last_insert_rowid();
+    let mut insert = transaction
+        .prepare("INSERT INTO metric (result, name, tool, value, unit) VALUES (?1, ?2, ?3, ?4, ?5)")?;
+    for metric in &read.metrics {
+        // What is no number stays in the text alone.
+        if let Some(value) = metric.value.filter(|value| value.is_finite()) {
+            let tool = metric.tool.as_deref().unwrap_or_default();
+            insert.execute(params![id, metric.name, tool, value, metric.unit])?;
+        }
+    }
+    Ok(Added::New(id))
 }
 
 #[cfg(test)]

@@ -229,7 +229,9 @@ fn draw(store: &Store, args: &Curve) -> anyhow::Result<()> {
         print!("{}", curve_text(curve));
     }
     if n_left_out > 0 {
-        println!("{n_left_out} attempts are left out: the task's scene was another one then");
+        println!(
+            "{n_left_out} attempts are left out: another level, another patient, or a scene that was changed since"
+        );
     }
     let Some(out) = &args.out else { return Ok(()) };
     let [curve] = &curves[..] else {
@@ -279,9 +281,11 @@ fn import(database: &Path, files: &[PathBuf], person: Option<&str>) -> anyhow::R
         }
     }
     let mut store = Store::open(database)?;
-    for (file, kept) in all {
+    let (files, all): (Vec<&PathBuf>, Vec<Kept>) = all.into_iter().unzip();
+    let added = store.add_all(&all).context("nothing is imported")?;
+    for ((file, kept), added) in files.into_iter().zip(&all).zip(added) {
         let (person, task) = (kept.attempt.person.as_deref().unwrap_or_default(), &kept.attempt.task);
-        let what = match store.add(&kept).with_context(|| format!("{} is not imported", file.display()))? {
+        let what = match added {
             Added::New(id) => format!("stored as result {id}"),
             Added::There(id) => format!("is there already, as result {id}"),
         };

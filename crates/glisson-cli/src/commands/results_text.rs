@@ -2,11 +2,18 @@
 
 use glisson::training::metrics::Better;
 use glisson::units::for_people;
-use glisson_results::Comparison;
 use glisson_results::compare::{MetricComparison, NamedCurve};
 use glisson_results::statistics::{FEWEST_FOR_QUARTILES, Standing};
 use glisson_results::store::StoredResult;
+use glisson_results::{Attempt, Comparison};
 use std::fmt::Write as _;
+
+/// The level and the patient of an attempt.
+fn variant_text(attempt: &Attempt) -> String {
+    let patient = attempt.seed.map(|seed| format!("patient {seed}"));
+    let parts: Vec<String> = attempt.level.clone().into_iter().chain(patient).collect();
+    parts.join(", ")
+}
 
 /// A line for each result.
 pub(super) fn list_text(results: &[StoredResult]) -> String {
@@ -23,15 +30,16 @@ pub(super) fn list_text(results: &[StoredResult]) -> String {
             when,
             stored.person.clone(),
             attempt.task.clone(),
+            variant_text(attempt),
             time,
             stored.result.outcome_text().into(),
         ]
     };
-    let headings = ["number", "when", "who", "task", "time", "how"].map(str::to_owned);
-    let rows: Vec<[String; 6]> = std::iter::once(headings).chain(results.iter().map(row)).collect();
+    let headings = ["number", "when", "who", "task", "of", "time", "how"].map(str::to_owned);
+    let rows: Vec<[String; 7]> = std::iter::once(headings).chain(results.iter().map(row)).collect();
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..6).map(width).collect();
-    let line = |row: &[String; 6]| {
+    let widths: Vec<usize> = (0..7).map(width).collect();
+    let line = |row: &[String; 7]| {
         let cells = row.iter().zip(&widths).map(|(cell, width)| format!("{cell:width$}"));
         format!("{}\n", cells.collect::<Vec<_>>().join("  ").trim_end())
     };

@@ -320,11 +320,8 @@ impl Simulation {
         self.guarded(|simulation| {
             simulation.record(&SessionEvent::Reset { step: simulation.world.steps_made() })?;
             simulation.script = None;
-            if let Some(steady_m_per_s2) =
-                simulation.steady_gravity_m_per_s2.take().filter(|_| simulation.is_live)
-            {
-                simulation.set_gravity_now(steady_m_per_s2)?;
-            }
+            // The world has its scene's gravity again.
+            simulation.steady_gravity_m_per_s2 = None;
             simulation.world.reset();
             if let Some(task) = simulation.task.take() {
                 if task.outcome().is_some() {

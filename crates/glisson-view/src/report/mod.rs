@@ -141,7 +141,6 @@ fn write_gate(html: &mut String, gate: &[GateLine]) -> std::fmt::Result {
     Ok(())
 }
 
-/// `link` answers where in the replay a time is.
 /// Events that came, and those that could have.
 fn write_events(html: &mut String, events: &[EventNews]) -> std::fmt::Result {
     if events.is_empty() {
@@ -156,6 +155,7 @@ fn write_events(html: &mut String, events: &[EventNews]) -> std::fmt::Result {
     Ok(())
 }
 
+/// `link` answers where in the replay a time is.
 fn write_moments(
     html: &mut String,
     record: &TaskRecord,

@@ -39,7 +39,7 @@ pub fn choose(text: &str, choice: &Choice) -> Result<String, SceneError> {
         let levels = task.map_or(&[][..], |task| &task.levels[..]);
         let chosen = root.value_at(&["task", "level"]);
         match chosen.filter(|_| levels.contains(level)) {
-            Some(value) => edits.push((value.span(), format!("{level:?}"))),
+            Some(value) => edits.push((value.span(), quoted(level))),
             None => return Err(no_such(&root, "level", &format!("\"{level}\""), levels)),
         }
     }
@@ -48,6 +48,16 @@ pub fn choose(text: &str, choice: &Choice) -> Result<String, SceneError> {
     let mut text = text.to_string();
     edits.into_iter().for_each(|(span, new)| text.replace_range(span, &new));
     Ok(text)
+}
+
+/// A text as TOML has it in quotes.
+fn quoted(text: &str) -> String {
+    let letter = |letter: char| match letter {
+        '"' | '\\' => format!("\\{letter}"),
+        _ if letter.is_control() => format!("\\U{:08X}", u32::from(letter)),
+        _ => letter.to_string(),
+    };
+    format!("\"{}\"", text.chars().map(letter).collect::<String>())
 }
 
 fn no_such(root: &Section<'_>, key: &str, found: &str, allowed: &[String]) -> SceneError {
@@ -102,6 +112,15 @@ mod tests {
         assert_eq!((normal.gate.n_mistakes, hard.gate.n_mistakes), (None, Some(0)));
         assert_eq!((normal.events.len(), hard.events.len()), (0, 1));
         assert_eq!((normal.level.as_deref(), hard.level.as_deref()), (Some("normal"), Some("hard")));
+    }
+
+    #[test]
+    fn a_level_may_be_called_anything() {
+        let name = "tr\u{e8}s\u{a0}\u{301}dur \\ \"x\" \u{1}";
+        let scene = SCENE.replace("name = \"hard\"", &format!("name = {}", quoted(name)));
+        let scene = scene.replace("levels = [\"hard\"]", &format!("levels = [{}]", quoted(name)));
+        let text = choose(&scene, &Choice { patient: None, level: Some(name.into()) }).unwrap();
+        assert_eq!(Scene::parse(&text).unwrap().task.unwrap().level.as_deref(), Some(name));
     }
 
     #[test]

@@ -1,44 +1,47 @@
 //! `[[place]]`: points of the synthetic patient that the other points of a scene are given by, so that it goes with other patients.
 
-use super::reader::{Places, SceneError, Section, Value};
+use super::reader::{Places, SceneError, Section};
 use super::shape::tissue_named;
 use crate::image::phantom::PhantomPlaces;
 use crate::math::DVec3;
 
-/// The synthetic patient of a scene's first organ; none if it is of no such patient.
-pub(super) fn patient_of(root: &Section<'_>) -> Option<u64> {
-    root.value_at(&["organ", "phantom"])?;
-    let seed = root.value_at(&["organ", "phantom", "seed"]).and_then(|seed| whole_number(seed));
-    Some(seed.unwrap_or(1))
+/// The synthetic patient of a scene's first organ; none if it is of no such patient. A seed that cannot be is refused with the organ.
+pub(super) fn patient_of(root: &Section<'_>) -> Result<Option<u64>, SceneError> {
+    if root.value_at(&["organ", "phantom"]).is_none() {
+        return Ok(None);
+    }
+    let Some(seed) = root.value_at(&["organ", "phantom", "seed"]) else { return Ok(Some(1)) };
+    root.number_of("seed", seed).map(|seed| Some(seed as u64))
 }
 
 /// Places of the scene whose organ is of the patient `seed`.
 pub(super) fn read_places(sections: Vec<Section<'_>>, seed: Option<u64>) -> Result<Places, SceneError> {
     let mut places = Places::new();
     let mut patient = None;
-    for section in sections {
+    for mut section in sections {
         let Some(seed) = seed else {
             let found = "in a scene without an organ of the synthetic patient".to_string();
             return Err(section.wrong_table("place", found, "beside phantom = { organ, seed }".into()));
         };
-        let (name, place_m) = read_place(section, patient.get_or_insert_with(|| PhantomPlaces::new(seed)))?;
+        let patient = patient.get_or_insert_with(|| PhantomPlaces::new(seed));
+        let (name, place_m) = read_place(&mut section, patient)?;
+        if places.contains_key(&name) {
+            let found = format!("\"{name}\" once more");
+            return Err(section.wrong_table("name", found, "a name of its own for each place".into()));
+        }
+        section.finish()?;
         places.insert(name, place_m);
     }
     Ok(places)
 }
 
-/// A number that is written as one, if that is whole.
-fn whole_number(value: Value<'_>) -> Option<u64> {
-    value.get_ref().as_integer().and_then(|seed| u64::from_str_radix(seed.as_str(), seed.radix()).ok())
-}
-
-fn read_place(mut section: Section<'_>, patient: &PhantomPlaces) -> Result<(String, DVec3), SceneError> {
+fn read_place(section: &mut Section<'_>, patient: &PhantomPlaces) -> Result<(String, DVec3), SceneError> {
     let name = section.string("name")?.ok_or_else(|| section.missing("name", "name = \"nodule\""))?.0;
     let middle_of = section.string("middle_of")?;
     let inside_m = section.point("inside")?;
     let from_m = match (middle_of, inside_m) {
         (Some((part, at)), None) => {
-            let tissue = tissue_named(&section, "middle_of", &part, at)?;
+            let tissue = tissue_named(section, "middle_of", &part, at)?;
             patient.middle_m(tissue).ok_or_else(|| {
                 let allowed = "liver_tumour, gall_bladder, spleen, kidney_right or kidney_left";
                 section.wrong_value(at, "middle_of", format!("\"{part}\""), allowed)
@@ -55,6 +58,5 @@ fn read_place(mut section: Section<'_>, patient: &PhantomPlaces) -> Result<(Stri
             section.wrong_table("toward", found, "from a place inside the liver".into())
         })?,
     };
-    section.finish()?;
     Ok((name, place_m))
 }

@@ -188,7 +188,7 @@ impl<'a> Section<'a> {
         }
     }
 
-    fn number_of(&self, key: &str, value: Value<'_>) -> Result<f64, SceneError> {
+    pub(crate) fn number_of(&self, key: &str, value: Value<'_>) -> Result<f64, SceneError> {
         let text = match value.get_ref() {
             DeValue::Float(f) => f.as_str().to_string(),
             DeValue::Integer(i) => i.as_str().to_string(),

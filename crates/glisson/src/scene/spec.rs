@@ -87,7 +87,8 @@ impl Scene {
         let mut root = Section::root(text, &document);
         check_version(&mut root)?;
         let places = root.sections("place")?;
-        let places = read_places(places, patient_of(&root))?;
+        let places = read_places(places, patient_of(&root)?)?;
+        let has_seed = root.value_at(&["organ", "phantom", "seed"]).is_some();
         root.know_places(places);
         let name = root.string("name")?.map_or_else(|| "unnamed scene".to_string(), |n| n.0);
         let simulation = root.section("simulation")?;
@@ -161,7 +162,7 @@ impl Scene {
             sutures: read_sutures(sewn)?,
             tools: scripted,
         };
-        let task = task.map(|task| read_task(task, &world.tools)).transpose()?;
+        let task = task.map(|task| read_task(task, &world.tools, has_seed)).transpose()?;
         let (most_parts, text) = (simulation.most_parts, text.to_string());
         Ok(Self { world, organ, bodies, attachments, most_parts, paths, tool_shapes, task, text })
     }

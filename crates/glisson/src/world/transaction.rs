@@ -218,7 +218,9 @@ impl World {
         }
         self.organ.undo_edit(&record.mesh, &record.change, &mut record.organ);
         self.loads.undo(&record.change, &record.loads);
-        self.vessels.clone_from(&record.vessels);
+        if let Some((vessels, before)) = self.vessels.as_mut().zip(record.vessels.as_ref()) {
+            vessels.go_back_to(before, self.organ.body());
+        }
         if record.step == self.step {
             self.sutures.clone_from(&record.sutures);
             self.tool_states.clone_from(&record.tool_states);

@@ -55,6 +55,8 @@ pub struct Vessels {
     open: Vec<OpenEnd>,
     bleeding_m3_per_s: f64,
     lost_m3: f64,
+    /// Tubes that tore by themselves, and where: no undoing of a cut mends them.
+    tears: Vec<(usize, f64)>,
 }
 
 /// Two cuts nearer than this on a tube are one [m].
@@ -234,9 +236,24 @@ impl Vessels {
         let nearest = places.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let Some((_, tube, along)) = nearest else { return false };
         let before_m3_per_s = self.bleeding_m3_per_s;
+        self.tears.push((tube, along));
         self.cut_along[tube] = Some(along);
         self.find_open_ends(body);
         self.bleeding_m3_per_s > before_m3_per_s
+    }
+
+    /// An edit is undone: vessels are as before it, but for those that have torn since, and for the blood that is lost. Allocates.
+    pub(super) fn go_back_to(&mut self, before: &Self, body: &EditableMesh) {
+        let (lost_m3, tears) = (self.lost_m3, std::mem::take(&mut self.tears));
+        self.clone_from(before);
+        (self.lost_m3, self.tears) = (lost_m3, tears);
+        for &(tube, along) in &self.tears[before.tears.len()..] {
+            let nearest = self.cut_along[tube].map_or(along, |cut| cut.min(along));
+            self.cut_along[tube] = Some(nearest);
+        }
+        if self.tears.len() > before.tears.len() {
+            self.find_open_ends(body);
+        }
     }
 
     fn find_open_ends(&mut self, body: &EditableMesh) {
@@ -402,6 +419,12 @@ mod tests {
         assert!(vessels.tear(DVec3::new(0.005, 0.01, 0.01), &body));
         assert!((vessels.bleeding_m3_per_s() / bleeding_m3_per_s(6e-3) - 1.0).abs() < 1e-12);
         assert!(!vessels.tear(near_m, &body), "what lies beyond has lost its supply");
+        // Going back to before all that: what tore stays torn, and the blood is lost.
+        vessels.advance(2.0);
+        let (_, before) = block();
+        let (lost_m3, rate_m3_per_s) = (vessels.lost_m3(), vessels.bleeding_m3_per_s());
+        vessels.go_back_to(&before, &body);
+        assert_eq!((vessels.lost_m3(), vessels.bleeding_m3_per_s()), (lost_m3, rate_m3_per_s));
     }
 
     #[test]

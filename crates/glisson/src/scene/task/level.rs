@@ -30,6 +30,10 @@ impl Levels {
         let (mut names, mut all) = (Vec::new(), Vec::new());
         for section in task.sections("levels")? {
             let (name, level) = read_level(section)?;
+            if names.contains(&name) || names.len() == MOST {
+                let found = format!("\"{name}\" once more, or the {MOST}th level and more");
+                return Err(task.wrong_table("levels", found, "a name of its own for each level".into()));
+            }
             names.push(name);
             all.push(level);
         }
@@ -43,7 +47,7 @@ impl Levels {
         };
         let Some(chosen) = names.iter().position(|known| *known == name) else {
             let known: Vec<&str> = names.iter().map(String::as_str).collect();
-            let allowed = format!("{}{}", known.join(", "), did_you_mean(&name, &known));
+            let allowed = format!("{}{}", named(&names), did_you_mean(&name, &known));
             return Err(task.wrong_value(at, "level", format!("\"{name}\""), &allowed));
         };
         Ok(Self { names, name: Some(name), chosen: Some(all.swap_remove(chosen)) })
@@ -59,7 +63,7 @@ impl Levels {
         for (event, levels) in events {
             if let Some(unknown) = levels.iter().find(|level| !self.names.contains(level)) {
                 let found = format!("\"{unknown}\" of the event \"{}\"", event.title);
-                return Err(task.wrong_table("levels", found, self.names.join(", ")));
+                return Err(task.wrong_table("levels", found, named(&self.names)));
             }
             if levels.is_empty() || self.name.as_ref().is_some_and(|name| levels.contains(name)) {
                 kept.push(event);
@@ -67,6 +71,10 @@ impl Levels {
         }
         Ok(kept)
     }
+}
+
+fn named(levels: &[String]) -> String {
+    if levels.is_empty() { "none: the task has no [[task.levels]]".into() } else { levels.join(", ") }
 }
 
 fn read_level(mut section: Section<'_>) -> Result<(String, Level), SceneError> {

@@ -16,6 +16,8 @@ pub struct LineSource {
 const POINTS: &str = "points = [[\"0 mm\", \"-50 mm\", \"0 mm\"], [\"30 mm\", \"-50 mm\", \"0 mm\"]]";
 /// Points of a line at most.
 const MOST_POINTS: usize = 1000;
+/// Points of a line are at least so far apart [m]: nobody cuts finer.
+const LEAST_APART_M: f64 = 1e-6;
 /// Chords of a circle: with 72 none is further than a thousandth of the radius from it. A choice.
 const CHORDS: usize = 72;
 
@@ -31,9 +33,10 @@ pub(super) fn read_line(table: &mut Section<'_>) -> Result<LineSource, SceneErro
     let points_m: Vec<DVec3> = points.iter().map(|point| DVec3::from_slice(point)).collect();
     let is_closed = table.flag("closed")?.unwrap_or(false);
     let least = if is_closed { 3 } else { 2 };
-    let ends = (points_m.first(), points_m.last());
-    let is_closed_twice = is_closed && ends.0 == ends.1;
-    let is_still = points_m.windows(2).any(|pair| pair[0] == pair[1]);
+    let is_near = |a: &DVec3, b: &DVec3| a.distance(*b) < LEAST_APART_M;
+    let is_closed_twice =
+        is_closed && points_m.first().zip(points_m.last()).is_some_and(|(a, b)| is_near(a, b));
+    let is_still = points_m.windows(2).any(|pair| is_near(&pair[0], &pair[1]));
     if !(least..=MOST_POINTS).contains(&points_m.len()) || is_still || is_closed_twice {
         let found = format!("a line of {} points", points_m.len());
         let allowed = format!(
@@ -61,7 +64,7 @@ fn read_circle(mut circle: Section<'_>) -> Result<LineSource, SceneError> {
 pub(super) fn read_ends(table: &mut Section<'_>) -> Result<(DVec3, DVec3), SceneError> {
     let from_m = table.required_point("from", "from = [\"0 mm\", \"-50 mm\", \"0 mm\"]")?;
     let to_m = table.required_point("to", "to = [\"30 mm\", \"-50 mm\", \"0 mm\"]")?;
-    if from_m == to_m {
+    if from_m.distance(to_m) < LEAST_APART_M {
         return Err(table.wrong_table("to", "where the line begins".into(), "another place".into()));
     }
     Ok((from_m, to_m))

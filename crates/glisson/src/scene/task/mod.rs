@@ -68,8 +68,12 @@ const LONGEST_S: f64 = 3600.0;
 /// Stages, and events, of a task at most: a choice.
 const MOST_STAGES: usize = 50;
 
-/// The task of a scene with these instruments.
-pub(super) fn read_task(mut section: Section<'_>, tools: &[Tool]) -> Result<TaskSource, SceneError> {
+/// The task of a scene with these instruments; `has_seed`: whether its organ is of a patient whose seed is written there.
+pub(super) fn read_task(
+    mut section: Section<'_>,
+    tools: &[Tool],
+    has_seed: bool,
+) -> Result<TaskSource, SceneError> {
     let title = section.string("title")?.ok_or_else(|| section.missing("title", "title = \"Palpation\""))?.0;
     let about = section.string("about")?.map(|about| about.0).unwrap_or_default();
     let begins_in_theatre = read_view(&mut section, tools)?;
@@ -103,7 +107,16 @@ pub(super) fn read_task(mut section: Section<'_>, tools: &[Tool]) -> Result<Task
             stage.hint = stage.hint.take().filter(|_| level.has_hints);
         }
     }
+    let excises = stages.iter().any(|stage| matches!(stage.goal, GoalSource::Excise { .. }));
+    if gate.least_margin_m.is_some() && !excises {
+        let allowed = "beside a stage with excise = { center, radius }".into();
+        return Err(section.wrong_table("margin", "without anything to excise".into(), allowed));
+    }
     let patients = read_patients(&mut section)?;
+    if !patients.is_empty() && !has_seed {
+        let allowed = "beside phantom = { organ, seed = ... }, whose seed they take the place of".into();
+        return Err(section.wrong_table("patients", "without a seed in phantom".into(), allowed));
+    }
     section.finish()?;
     let (level, levels) = (levels.name, levels.names);
     Ok(TaskSource {

@@ -51,6 +51,15 @@ pub(super) struct Goal {
     n_clips_before: usize,
 }
 
+/// Why a goal cannot be reached in a world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum CannotBe {
+    /// There is no tissue at a place [m].
+    NoTissue { point_m: DVec3 },
+    /// A ball holds the middle of no tetrahedron.
+    SmallBall,
+}
+
 /// A trigger that was pressed since the last look, and where its tip touched then.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Press {
@@ -63,8 +72,8 @@ fn n_clips_set(world: &World) -> usize {
 }
 
 impl Goal {
-    /// A goal in a world at rest; the place [m] where there is no tissue as an error.
-    pub(super) fn new(source: GoalSource, world: &World) -> Result<Self, DVec3> {
+    /// A goal in a world at rest.
+    pub(super) fn new(source: GoalSource, world: &World) -> Result<Self, CannotBe> {
         let points_m = match &source {
             GoalSource::Touch { near_m, .. } | GoalSource::Grasp { near_m, .. } => {
                 near_m.iter().map(|(near_m, _)| *near_m).collect()
@@ -77,20 +86,23 @@ impl Goal {
             GoalSource::Cut { line, .. } => line.points_m.clone(),
             GoalSource::Reach { .. } | GoalSource::Clip { .. } | GoalSource::Bleed { .. } => Vec::new(),
         };
-        let places = points_m.into_iter().map(|point_m| Landmark::find(point_m, world).ok_or(point_m));
+        let places = points_m
+            .into_iter()
+            .map(|point_m| Landmark::find(point_m, world).ok_or(CannotBe::NoTissue { point_m }));
+        let places: Vec<Landmark> = places.collect::<Result<_, _>>()?;
         let line = match &source {
             GoalSource::Cut { line, within_m, .. } => Some(CutLine::new(line, *within_m, world)),
             _ => None,
         };
         let excision = match source {
             GoalSource::Excise { center_m, radius_m } => {
-                Some(Excision::new(center_m, radius_m, world).ok_or(center_m)?)
+                Some(Excision::new(center_m, radius_m, world).ok_or(CannotBe::SmallBall)?)
             }
             _ => None,
         };
         Ok(Self {
             source,
-            places: places.collect::<Result<_, _>>()?,
+            places,
             line,
             quality: CutQuality::default(),
             excision,

@@ -155,14 +155,15 @@ impl TaskRecord {
         metrics.push(own_line("mistakes", "Mistakes", mistakes.len() as f64, tried));
         metrics.extend(cut_lines(qualities));
         metrics.extend(excised.iter().flat_map(excision_lines));
-        let margin_m = excised.and_then(|excised| excised.margins_m).map(|[least_m, _]| least_m);
+        // What was not measured is no margin.
+        let margin_m = excised.and_then(|excised| excised.margins_m).map_or(0.0, |[least_m, _]| least_m);
         let mut gate = gate_lines(&task.gate, trace, mistakes.len());
-        gate.extend(task.gate.least_margin_m.zip(margin_m).map(|(least, found)| GateLine {
+        gate.extend(task.gate.least_margin_m.map(|least_m| GateLine {
             title: "margin, at least",
-            found,
-            allowed: least,
+            found: margin_m,
+            allowed: least_m,
             unit: "m",
-            is_kept: found >= least,
+            is_kept: margin_m >= least_m,
         }));
         TaskResult {
             title: task.title.clone(),

@@ -1,7 +1,7 @@
 //! A task that somebody does: which stage it is at, and what is written down for its assessment.
 
 use super::events::{Effects, EventNews, Events};
-use super::goal::{Goal, Look, Press};
+use super::goal::{CannotBe, Goal, Look, Press};
 use super::result::{Outcome, StageResult, TaskRecord};
 use crate::math::DVec3;
 use crate::scene::{EffectSource, GoalSource, TaskSource};
@@ -25,6 +25,17 @@ pub enum TaskError {
         title: String,
         /// The place [m].
         point_m: DVec3,
+    },
+    /// A ball to be excised that the mesh does not resolve.
+    #[error(
+        "stage {stage} of the task, \"{title}\": the ball to be excised holds the middle of no tetrahedron; give a greater radius, or the \
+         organ more tetrahedra"
+    )]
+    SmallBall {
+        /// Which stage, from 1.
+        stage: usize,
+        /// What it is called.
+        title: String,
     },
     /// Two places that are to be parted and do not hang together.
     #[error(
@@ -185,8 +196,12 @@ impl TaskRun {
                 return Err(TaskError::NoVessels { stage, title });
             }
             let goal = Goal::new(of.goal.clone(), world);
-            let no_tissue = |point_m| TaskError::NoTissue { stage, title: title.clone(), point_m };
-            let mut goal = goal.map_err(no_tissue)?;
+            let mut goal = goal.map_err(|cannot| match cannot {
+                CannotBe::NoTissue { point_m } => {
+                    TaskError::NoTissue { stage, title: title.clone(), point_m }
+                }
+                CannotBe::SmallBall => TaskError::SmallBall { stage, title: title.clone() },
+            })?;
             if matches!(of.goal, GoalSource::Part { .. }) && goal.look(world, &[]).holds {
                 return Err(TaskError::Apart { stage, title });
             }
@@ -257,7 +272,13 @@ impl TaskRun {
 
     /// Notes triggers that were pressed in this step.
     fn note_presses(&mut self, world: &World) {
+        let Effects { fails, .. } = self.effects(world);
         for (tool, was_triggered) in self.was_triggered.iter_mut().enumerate() {
+            if fails[tool] {
+                // Who holds the trigger of an instrument that fails does not press it when it works again.
+                *was_triggered = true;
+                continue;
+            }
             let is_triggered = world.tool_pose(tool).is_triggered();
             if is_triggered && !std::mem::replace(was_triggered, is_triggered) {
                 self.presses.push(Press { tool, touched_at_rest_m: world.touched_at_rest_m(tool) });

@@ -82,8 +82,30 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
             &scene_of(name)?,
         )?);
     }
+    experiments.extend(of_variants()?);
     experiments.extend(injected_faults()?);
     Ok(experiments.into())
+}
+
+/// The demonstrations with all patients and at all levels that may be chosen.
+fn of_variants() -> anyhow::Result<Vec<Experiment>> {
+    let mut experiments = Vec::new();
+    for (name, text) in TASKS {
+        let Some(task) = Scene::parse(text)?.task else { continue };
+        let patients = task.patients.iter().map(|patient| Choice { patient: Some(*patient), level: None });
+        let levels = task.levels.iter().map(|level| Choice { patient: None, level: Some(level.clone()) });
+        for choice in patients.chain(levels) {
+            let played = play(Scene::parse(&choose(text, &choice)?)?)?;
+            let of = match &choice {
+                Choice { patient: Some(patient), .. } => format!("of patient {patient}"),
+                Choice { level, .. } => format!("at the level {}", level.as_deref().unwrap_or_default()),
+            };
+            let not_passed = f64::from(u8::from(!played.result.is_passed));
+            let what = format!("{name} {of}: its demonstration does not pass");
+            experiments.push(Experiment::at_most(&what, OWN, not_passed, 0.0));
+        }
+    }
+    Ok(experiments)
 }
 
 fn of_demonstration(name: &str, played: &Played, again: &Played) -> Vec<Experiment> {

@@ -13,18 +13,18 @@ use glisson::tool::cut::subdivision::{CutRefusal, CutReport, SubdivisionCut, Sub
 use std::collections::BTreeMap;
 
 /// A body that carries edits out the plain way: the reference for the mesh edit.
-struct Body {
-    mesh: EditableMesh,
-    positions_m: Vec<DVec3>,
+pub(crate) struct Body {
+    pub(crate) mesh: EditableMesh,
+    pub(crate) positions_m: Vec<DVec3>,
 }
 
 impl Body {
-    fn new(mesh: TetMesh) -> Self {
+    pub(crate) fn new(mesh: TetMesh) -> Self {
         let positions_m = mesh.positions_m.clone();
         Self { mesh: EditableMesh::new(mesh).expect("a mesh"), positions_m }
     }
 
-    fn deformed(mut self, by: impl Fn(DVec3) -> DVec3) -> Self {
+    pub(crate) fn deformed(mut self, by: impl Fn(DVec3) -> DVec3) -> Self {
         for p in &mut self.positions_m {
             *p = by(*p);
         }
@@ -36,7 +36,7 @@ impl Body {
         follow_in_tissue(&mut self.positions_m, &change);
     }
 
-    fn stroke(
+    pub(crate) fn stroke(
         &mut self,
         params: &SubdivisionParams,
         blades: impl IntoIterator<Item = [DVec3; 2]>,
@@ -57,11 +57,11 @@ impl Body {
         *cut.report()
     }
 
-    fn pieces(&self) -> usize {
+    pub(crate) fn pieces(&self) -> usize {
         self.mesh.topology().pieces(Through::Faces).count()
     }
 
-    fn check(&self, volume_m3: f64, what: &str) {
+    pub(crate) fn check(&self, volume_m3: f64, what: &str) {
         let mesh = self.mesh.mesh();
         let now_m3 = self.mesh.volume_m3();
         assert!((now_m3 / volume_m3 - 1.0).abs() < 1e-9, "{what}: volume {now_m3} for {volume_m3}");
@@ -90,7 +90,7 @@ fn sweep(from: [DVec3; 2], to: [DVec3; 2], n: usize) -> Vec<[DVec3; 2]> {
         .collect()
 }
 
-fn mean_edge_m(mesh: &TetMesh) -> f64 {
+pub(crate) fn mean_edge_m(mesh: &TetMesh) -> f64 {
     MeshQuality::of(mesh).mean_edge_m
 }
 

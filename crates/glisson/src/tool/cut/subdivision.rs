@@ -7,7 +7,8 @@
 //! 1. every edge through the swept plane is divided where it crosses, in the tetrahedra that the polygon
 //!    meets; a crossing near an end of its edge snaps to that end, which moves into the plane if it can;
 //! 2. within the plane the same happens at the lines that bound the polygon, so that the polygon is a union
-//!    of faces, and the area that opens is the area swept;
+//!    of faces, and the area that opens is the area swept. Where the stroke turns, this plane may leave a gap to
+//!    the faces of the last step; the smallest faces that close it are cut, too (`closing`);
 //! 3. the faces open: each of their nodes gets as many copies as its tetrahedra form groups around it. At the
 //!    rim of the cut they form one, and the node stays one; the next step goes on from there.
 //!
@@ -22,6 +23,7 @@
 
 mod blend;
 pub mod carving;
+mod closing;
 mod opening;
 mod patch;
 mod relaxing;
@@ -31,6 +33,7 @@ mod sweep;
 #[cfg(test)]
 mod tests;
 
+use self::closing::keep_crumbs;
 use self::patch::{Body, Patch};
 use self::relaxing::relax;
 use self::section::{Snapping, conform};
@@ -230,6 +233,10 @@ const WEIGHT_OF_STRAYED: [f64; 2] = [1.0, 0.1];
 
 /// How much the swaps after it may change the area of a cut, as a share of it, when one is judged before them.
 const LEEWAY: f64 = 0.01;
+
+/// What a cut parts is left at its neighbour if its volume is less than this share of the third power of
+/// [`SubdivisionParams::front_reach_m`]: a fiftieth of a tetrahedron of mean edges.
+const CRUMB: f64 = 0.09;
 
 /// What came of one way to cut a step.
 #[derive(Clone, Copy, Debug, Default)]
@@ -579,6 +586,10 @@ impl SubdivisionCut {
             report.n_touched += section.n_touched;
             report.n_snapped += section.n_snapped;
             strayed_m2 += section.strayed_m2;
+        }
+        if params.is_nested {
+            let reach_m = params.front_reach_m;
+            keep_crumbs(patch, body, CRUMB * reach_m * reach_m * reach_m);
         }
         let area_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
         report.cut_area_m2 = area_m2 - closed_before_m2;

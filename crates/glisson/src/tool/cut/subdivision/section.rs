@@ -4,6 +4,7 @@
 //! divided there. Then inside the plane: the same with the lines that bound the polygon. Every decision
 //! hangs on the labels of nodes alone, so that neighbours cannot disagree.
 
+use super::closing::Network;
 use super::patch::{Accept, Body, Patch, PatchNode, UNKNOWN, pair_key, sorted};
 use super::sweep::{Side, Sweep};
 use crate::math::{DVec3, tetrahedron_volume_m3};
@@ -37,6 +38,17 @@ const LEAST_SHARE_OF_FACE: f64 = 0.02;
 
 /// Sine of the least angle between skin and plane, or skin and line, for a node to slide there.
 const LEAST_SINE: f64 = 0.2;
+
+/// Faces that join a piece of the stroke to the last one have less than this multiple of the square of [`Snapping::front_m`]. More
+/// would be a cut of its own.
+const LARGEST_JOINT: f64 = 11.0;
+
+/// Where no node moves, the front of a cut that snaps as much as it may is up to half an edge beside the blade: this multiple of
+/// [`Snapping::front_m`], a little more than that.
+const FRONT_OF_FIXED: f64 = 2.0;
+
+/// A cut that snaps more than this share has its front so far beside the blade: what snaps less stays within [`Snapping::front_m`].
+const MUCH_SNAPPED: f64 = 0.25;
 
 /// What came of one polygon.
 #[derive(Clone, Copy, Debug, Default)]
@@ -78,8 +90,10 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
             (faces, is_settled) = work.faces_of_plane();
         }
     }
-    let inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f)).collect();
+    let mut inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f)).collect();
+    work.join_to_front(&mut inside);
     let n_snapped = work.n_snapped;
+    let rim_m = if snapping.share > MUCH_SNAPPED { work.front_reach_m() } else { snapping.front_m };
     let (mut covered_m2, mut strayed_m2) = (0.0, 0.0);
     for &face in &inside {
         let corners_m = face.map(|n| work.patch.nodes[n as usize].present_m);
@@ -89,7 +103,7 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
     }
     let strayed_m2 = strayed_m2 + (swept_area_m2 - covered_m2).abs();
     if let Some(k) = (0..sweep.n_lines()).find(|&k| sweep.side(k) == Side::Front) {
-        add_front(patch, sweep, k, &inside, snapping.front_m);
+        add_front(patch, sweep, k, &inside, rim_m);
     }
     patch.cut.extend(inside);
     patch.cut.sort_unstable();
@@ -121,8 +135,15 @@ impl Work<'_> {
         if self.patch.nodes[node as usize].label == UNKNOWN {
             let distance_m = self.distance_m(node);
             let Snapping { same_m, front_m, .. } = self.snapping;
+            let all_stay = self.patch.all_stay;
             let node = &mut self.patch.nodes[node as usize];
-            let reach_m = if node.is_front || node.is_wake { front_m.max(same_m) } else { same_m };
+            let reach_m = match (node.is_front, node.is_wake) {
+                // The sides of the cut so far have theirs: the next face begins at the front and nowhere else.
+                (false, true) if all_stay => same_m,
+                (true, _) if all_stay => same_m.max(FRONT_OF_FIXED * front_m),
+                (true, _) | (_, true) => same_m.max(front_m),
+                (false, false) => same_m,
+            };
             node.label = if distance_m.abs() <= reach_m { 0 } else { sign(distance_m) };
         }
         self.patch.nodes[node as usize].label
@@ -516,6 +537,122 @@ impl Work<'_> {
                 *label(&mut self.patch.nodes[middle as usize]) = 0;
             }
         }
+    }
+
+    /// Joins the faces of the polygon to the cut so far. Where two pieces of the stroke meet at an angle, and the front of the
+    /// former is not quite straight, the plane of the latter may leave a gap between them that keeps the sides together; the faces
+    /// of the least area that close it are cut, too, and those that end in it are not.
+    fn join_to_front(&mut self, inside: &mut Vec<[u32; 3]>) {
+        let Some(start) = (0..self.sweep.n_lines()).find(|&k| self.sweep.side(k) == Side::Start) else {
+            return;
+        };
+        if !self.patch.nodes.iter().any(|n| n.is_front) {
+            return;
+        }
+        let gaps = self.gaps(start, inside);
+        if gaps.is_empty() {
+            return;
+        }
+        let is_front = |n: &u32| self.patch.nodes[*n as usize].is_front;
+        let front = (0..self.patch.nodes.len() as u32).filter(is_front);
+        let mut tets = Vec::new();
+        for node in gaps.iter().flatten().copied().chain(front).collect::<Vec<u32>>() {
+            self.patch.pull_star(self.body, node);
+            tets.extend_from_slice(self.patch.star(node));
+        }
+        tets.sort_unstable();
+        tets.dedup();
+        let before = inside.clone();
+        let price = |face: [u32; 3]| match self.patch.cut.binary_search(&face) {
+            Ok(_) => None,
+            Err(_) if before.contains(&face) => Some(0.0),
+            Err(_) => Some(self.patch.face_area_m2(face)),
+        };
+        let mut network = Network::of(self.patch, &tets, price);
+        for &tet in &tets {
+            let nodes = self.patch.tets[tet as usize].nodes;
+            for face in FACES.map(|face| face.map(|i| nodes[i])) {
+                let here = face.map(|n| self.patch.nodes[n as usize]);
+                let side = if before.contains(&sorted(face)) {
+                    let mut is_ahead = face.iter().zip(here);
+                    // Behind the front and beside it the plane need not be where the cut is.
+                    if is_ahead.all(|(&n, node)| node.is_front || self.line_label(start, n).0 > 0) {
+                        self.side_of(tet)
+                    } else {
+                        0
+                    }
+                } else if here.iter().all(|n| n.is_front || n.is_wake) && self.is_on_skin(face) {
+                    // A side of the cut so far, which looks across it.
+                    let [a, b, c] = here.map(|n| n.present_m);
+                    -sign((b - a).cross(c - a).dot(self.sweep.normal))
+                } else {
+                    0
+                };
+                network.set_side(tet, side);
+            }
+        }
+        let Some((faces, area_m2)) = network.least_cut() else { return };
+        inside.retain(|face| self.patch.tets_at_face(*face).any(|t| tets.binary_search(&t).is_err()));
+        inside.extend(faces);
+        inside.sort_unstable();
+        inside.dedup();
+        let most_m2 = LARGEST_JOINT * self.snapping.front_m * self.snapping.front_m;
+        if area_m2 > most_m2 || self.gaps(start, inside).len() >= gaps.len() {
+            *inside = before;
+        }
+    }
+
+    /// How far [m] the front of a piece may be from where the blade was.
+    fn front_reach_m(&self) -> f64 {
+        let share = if self.patch.all_stay { FRONT_OF_FIXED } else { 1.0 };
+        share * self.snapping.front_m
+    }
+
+    /// The side of a tetrahedron at the plane.
+    fn side_of(&self, tet: u32) -> i8 {
+        let nodes = self.patch.tets[tet as usize].nodes.map(|n| self.patch.nodes[n as usize]);
+        match nodes.iter().find(|n| n.label != 0) {
+            Some(node) => node.label,
+            None if nodes.iter().map(|n| n.distance_m).sum::<f64>() >= 0.0 => 1,
+            None => -1,
+        }
+    }
+
+    /// Edges inside the body where `inside` and what is in `patch.cut` end near line `start`.
+    fn gaps(&mut self, start: usize, inside: &[[u32; 3]]) -> Vec<[u32; 2]> {
+        let mut edges: Vec<[u32; 2]> = self
+            .patch
+            .cut
+            .iter()
+            .chain(inside.iter().filter(|f| self.patch.cut.binary_search(f).is_err()))
+            .flat_map(|&[a, b, c]| [[a, b], [b, c], [a, c]])
+            .collect();
+        edges.sort_unstable();
+        let mut gaps: Vec<[u32; 2]> =
+            edges.chunk_by(|e, f| e == f).filter(|same| same.len() % 2 == 1).map(|same| same[0]).collect();
+        gaps.retain(|edge| {
+            let start_m = edge.map(|n| self.line_label(start, n).1);
+            let reach_m = self.front_reach_m();
+            let is_near = start_m.iter().all(|&m| m <= reach_m) && start_m.iter().any(|&m| m >= -reach_m);
+            let is_at_end = (0..self.sweep.n_lines()).filter(|&k| k != start).any(|k| {
+                edge.iter().all(|&n| {
+                    let (label, inside_m) = self.line_label(k, n);
+                    label == 0 || inside_m <= 0.0
+                })
+            });
+            is_near && !is_at_end && !self.is_skin_edge(*edge)
+        });
+        gaps
+    }
+
+    /// Whether an edge of the patch is on the surface of the body.
+    fn is_skin_edge(&mut self, [a, b]: [u32; 2]) -> bool {
+        self.patch.pull_star(self.body, a);
+        let star = self.patch.star(a).iter().map(|&t| self.patch.tets[t as usize].nodes);
+        let mut around: Vec<u32> =
+            star.filter(|n| n.contains(&b)).flatten().filter(|&n| n != a && n != b).collect();
+        around.sort_unstable();
+        around.chunk_by(|m, n| m == n).any(|same| same.len() == 1)
     }
 
     /// Whether a face of the plane belongs to the polygon.

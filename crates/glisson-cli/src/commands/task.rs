@@ -79,7 +79,7 @@ struct Run {
     #[arg(long)]
     headless: bool,
     /// In the browser: the demonstration leads the instruments, until you take one into the hand
-    #[arg(long, conflicts_with_all = ["headless", "person"])]
+    #[arg(long, conflicts_with = "headless")]
     demonstrate: bool,
     /// Folder for the session, and without a window the report and its numbers
     #[arg(long, default_value = "out/tasks", value_name = "DIR")]

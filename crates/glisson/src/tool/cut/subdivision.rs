@@ -8,7 +8,7 @@
 //!    meets; a crossing near an end of its edge snaps to that end, which moves into the plane if it can;
 //! 2. within the plane the same happens at the lines that bound the polygon, so that the polygon is a union
 //!    of faces, and the area that opens is the area swept. Where the stroke turns, this plane may leave a gap to
-//!    the faces of the last step; the smallest faces that close it are cut, too (`closing`);
+//!    the faces of the last step; of embedded cuts the smallest faces that close it are cut, too (`closing`);
 //! 3. the faces open: each of their nodes gets as many copies as its tetrahedra form groups around it. At the
 //!    rim of the cut they form one, and the node stays one; the next step goes on from there.
 //!

@@ -91,9 +91,13 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
         }
     }
     let mut inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f)).collect();
-    work.join_to_front(&mut inside);
+    let is_nested = work.patch.all_stay;
+    if is_nested {
+        work.join_to_front(&mut inside);
+    }
     let n_snapped = work.n_snapped;
-    let rim_m = if snapping.share > MUCH_SNAPPED { work.front_reach_m() } else { snapping.front_m };
+    let rim_m =
+        if is_nested && snapping.share > MUCH_SNAPPED { work.front_reach_m() } else { snapping.front_m };
     let (mut covered_m2, mut strayed_m2) = (0.0, 0.0);
     for &face in &inside {
         let corners_m = face.map(|n| work.patch.nodes[n as usize].present_m);

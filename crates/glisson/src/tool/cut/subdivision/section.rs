@@ -50,6 +50,9 @@ const FRONT_OF_FIXED: f64 = 2.0;
 /// A cut that snaps more than this share has its front so far beside the blade: what snaps less stays within [`Snapping::front_m`].
 const MUCH_SNAPPED: f64 = 0.25;
 
+/// Cosine of the angle below which a piece of a stroke goes straight on: 2 degrees, a choice.
+const STRAIGHT_ON: f64 = 0.9994;
+
 /// What came of one polygon.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Section {
@@ -543,6 +546,40 @@ impl Work<'_> {
         }
     }
 
+    /// Whether this piece of the stroke lies at an angle to the sides of the cut so far, by the mean over their area near the front. One
+    /// that goes straight on has no gap to close.
+    fn turns(&mut self) -> bool {
+        let normal = self.sweep.normal;
+        let is_front = |n: &u32| self.patch.nodes[*n as usize].is_front;
+        let front: Vec<u32> = (0..self.patch.nodes.len() as u32).filter(is_front).collect();
+        let mut tets = Vec::new();
+        for node in front {
+            self.patch.pull_star(self.body, node);
+            tets.extend_from_slice(self.patch.star(node));
+        }
+        tets.sort_unstable();
+        tets.dedup();
+        let (mut along_m2, mut sum_m2) = (0.0, DVec3::ZERO);
+        for tet in tets {
+            let nodes = self.patch.tets[tet as usize].nodes;
+            for face in FACES.map(|face| face.map(|i| nodes[i])) {
+                let here = face.map(|n| self.patch.nodes[n as usize]);
+                if !here.iter().all(|n| n.is_front || n.is_wake) || !here.iter().any(|n| n.is_front) {
+                    continue;
+                }
+                if !self.is_on_skin(face) {
+                    continue;
+                }
+                let [a, b, c] = here.map(|n| n.present_m);
+                let area_m2 = (b - a).cross(c - a);
+                let sided_m2 = if area_m2.dot(normal) < 0.0 { -area_m2 } else { area_m2 };
+                along_m2 += area_m2.length();
+                sum_m2 += sided_m2;
+            }
+        }
+        along_m2 == 0.0 || sum_m2.normalize_or_zero().dot(normal) < STRAIGHT_ON
+    }
+
     /// Joins the faces of the polygon to the cut so far. Where two pieces of the stroke meet at an angle, and the front of the
     /// former is not quite straight, the plane of the latter may leave a gap between them that keeps the sides together; the faces
     /// of the least area that close it are cut, too, and those that end in it are not.
@@ -551,6 +588,9 @@ impl Work<'_> {
             return;
         };
         if !self.patch.nodes.iter().any(|n| n.is_front) {
+            return;
+        }
+        if !self.turns() {
             return;
         }
         let gaps = self.gaps(start, inside);

@@ -17,5 +17,6 @@ pub mod picture;
 pub mod report;
 pub mod server;
 pub mod recording;
+mod job;
 pub mod patient;
 pub mod start;

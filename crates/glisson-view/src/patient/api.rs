@@ -283,7 +283,7 @@ async fn keep(
 async fn begin_upload(State(shared): State<Arc<Shared>>) -> Response {
     // What is being read must not go.
     if let Some(what) = shared.running() {
-        return still(what);
+        return still(&what);
     }
     let in_use = shared.steps().source.as_ref().and_then(|source| source.upload);
     axum::Json(json!({"upload": shared.upload.begin(in_use)})).into_response()

@@ -1,5 +1,6 @@
 //! How far the patient is, and the step that runs.
 
+use crate::job::Job;
 use anyhow::Context;
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
@@ -7,11 +8,9 @@ use glisson::material::tissues::TISSUES;
 use glisson::progress::watched;
 use glisson_runtime::Simulation;
 use serde_json::{Value, json};
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tokio::sync::Notify;
 
 use super::image::Image;
@@ -64,15 +63,6 @@ pub(super) struct Source {
     pub(super) upload: Option<u64>,
 }
 
-/// A step that runs.
-struct Job {
-    what: &'static str,
-    since: Instant,
-    /// Bits of the share that is done.
-    share: AtomicU64,
-    is_cancelled: AtomicBool,
-}
-
 pub(super) struct Shared {
     steps: Mutex<Steps>,
     pub(super) upload: Upload,
@@ -102,14 +92,14 @@ impl Shared {
     }
 
     /// What runs.
-    pub(super) fn running(&self) -> Option<&'static str> {
-        self.steps().job.as_ref().map(|job| job.what)
+    pub(super) fn running(&self) -> Option<String> {
+        self.steps().job.as_ref().map(|job| job.what.clone())
     }
 
     /// Breaks the step that runs off, where it next tells how far it is.
     pub(super) fn cancel(&self) {
         if let Some(job) = &self.steps().job {
-            job.is_cancelled.store(true, Ordering::Relaxed);
+            job.cancel();
         }
     }
 
@@ -155,26 +145,6 @@ impl Shared {
     }
 }
 
-impl Job {
-    fn state(&self) -> Value {
-        json!({
-            "what": self.what,
-            "seconds": self.since.elapsed().as_secs_f64(),
-            "share": f64::from_bits(self.share.load(Ordering::Relaxed)),
-            "is_cancelled": self.is_cancelled.load(Ordering::Relaxed),
-        })
-    }
-
-    fn hears(&self, share: f64) -> ControlFlow<()> {
-        self.share.store(share.to_bits(), Ordering::Relaxed);
-        if self.is_cancelled.load(Ordering::Relaxed) {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
-    }
-}
-
 /// The answer while a step runs.
 pub(super) fn still(what: &str) -> Response {
     (StatusCode::CONFLICT, format!("still {what}: wait, or cancel it\n")).into_response()
@@ -186,16 +156,11 @@ pub(super) fn begin(
     what: &'static str,
     work: impl FnOnce(&Shared) -> anyhow::Result<Change> + Send + 'static,
 ) -> Response {
-    let job = Arc::new(Job {
-        what,
-        since: Instant::now(),
-        share: AtomicU64::new(0),
-        is_cancelled: AtomicBool::new(false),
-    });
+    let job = Arc::new(Job::new(what));
     {
         let mut steps = shared.steps();
         if let Some(running) = &steps.job {
-            return still(running.what);
+            return still(&running.what);
         }
         if steps.simulation.is_some() {
             return (StatusCode::CONFLICT, "the simulation starts\n").into_response();

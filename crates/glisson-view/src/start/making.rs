@@ -1,16 +1,14 @@
 //! What was chosen, and the simulation that is made of it: one at a time, watched and cancelled.
 
+use crate::job::Job;
 use anyhow::Context;
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use glisson::progress::watched;
 use glisson_runtime::Simulation;
 use serde_json::{Value, json};
-use std::ops::ControlFlow;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
 use tokio::sync::Notify;
 
 /// Something that is listed.
@@ -41,15 +39,6 @@ pub enum Chosen {
     Simulation(Box<Simulation>),
     /// The page for a new patient.
     Patient,
-}
-
-/// A simulation that is being made.
-struct Job {
-    what: String,
-    since: Instant,
-    /// Bits of the share that is done.
-    share: AtomicU64,
-    is_cancelled: AtomicBool,
 }
 
 #[derive(Default)]
@@ -92,7 +81,7 @@ impl Making {
     /// Breaks off what is being made, where it next tells how far it is.
     pub(super) fn cancel(&self) {
         if let Some(job) = &self.stage().job {
-            job.is_cancelled.store(true, Ordering::Relaxed);
+            job.cancel();
         }
     }
 
@@ -128,12 +117,7 @@ pub(super) fn begin(
     what: String,
     choice: impl FnOnce() -> anyhow::Result<Choice> + Send + 'static,
 ) -> Response {
-    let job = Arc::new(Job {
-        what,
-        since: Instant::now(),
-        share: AtomicU64::new(0),
-        is_cancelled: AtomicBool::new(false),
-    });
+    let job = Arc::new(Job::new(what));
     {
         let mut stage = making.stage();
         if let Some(refusal) = Making::refusal(&stage) {
@@ -153,7 +137,7 @@ pub(super) fn begin(
         stage.job = None;
         match made {
             // It may have been cancelled after it last told how far it was.
-            Some(Ok(_)) if job.is_cancelled.load(Ordering::Relaxed) => {}
+            Some(Ok(_)) if job.is_cancelled() => {}
             Some(Ok(simulation)) => {
                 stage.chosen = Some(Chosen::Simulation(Box::new(simulation)));
                 making.ready.notify_one();
@@ -163,24 +147,4 @@ pub(super) fn begin(
         }
     });
     StatusCode::ACCEPTED.into_response()
-}
-
-impl Job {
-    fn state(&self) -> Value {
-        json!({
-            "what": self.what,
-            "seconds": self.since.elapsed().as_secs_f64(),
-            "share": f64::from_bits(self.share.load(Ordering::Relaxed)),
-            "is_cancelled": self.is_cancelled.load(Ordering::Relaxed),
-        })
-    }
-
-    fn hears(&self, share: f64) -> ControlFlow<()> {
-        self.share.store(share.to_bits(), Ordering::Relaxed);
-        if self.is_cancelled.load(Ordering::Relaxed) {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
-    }
 }

@@ -546,20 +546,32 @@ impl Work<'_> {
         }
     }
 
-    /// Whether this piece of the stroke lies at an angle to the sides of the cut so far, by the mean over their area near the front. One
-    /// that goes straight on has no gap to close.
-    fn turns(&mut self) -> bool {
-        let normal = self.sweep.normal;
+    /// Nodes of the front, ascending.
+    fn front(&self) -> Vec<u32> {
         let is_front = |n: &u32| self.patch.nodes[*n as usize].is_front;
-        let front: Vec<u32> = (0..self.patch.nodes.len() as u32).filter(is_front).collect();
+        (0..self.patch.nodes.len() as u32).filter(is_front).collect()
+    }
+
+    /// Tetrahedra at any of these nodes, ascending.
+    fn stars(&mut self, nodes: &[u32]) -> Vec<u32> {
         let mut tets = Vec::new();
-        for node in front {
+        for &node in nodes {
             self.patch.pull_star(self.body, node);
             tets.extend_from_slice(self.patch.star(node));
         }
         tets.sort_unstable();
         tets.dedup();
-        let (mut along_m2, mut sum_m2) = (0.0, DVec3::ZERO);
+        tets
+    }
+
+    /// Whether this piece of the stroke lies at an angle to the sides of the cut so far, by the mean over their area near the front. One
+    /// that goes straight on has no gap to close.
+    fn turns(&mut self) -> bool {
+        let normal = self.sweep.normal;
+        let front = self.front();
+        let tets = self.stars(&front);
+        // Of no sides at all the sum is zero, which is along nothing.
+        let mut sum_m2 = DVec3::ZERO;
         for tet in tets {
             let nodes = self.patch.tets[tet as usize].nodes;
             for face in FACES.map(|face| face.map(|i| nodes[i])) {
@@ -572,12 +584,10 @@ impl Work<'_> {
                 }
                 let [a, b, c] = here.map(|n| n.present_m);
                 let area_m2 = (b - a).cross(c - a);
-                let sided_m2 = if area_m2.dot(normal) < 0.0 { -area_m2 } else { area_m2 };
-                along_m2 += area_m2.length();
-                sum_m2 += sided_m2;
+                sum_m2 += if area_m2.dot(normal) < 0.0 { -area_m2 } else { area_m2 };
             }
         }
-        along_m2 == 0.0 || sum_m2.normalize_or_zero().dot(normal) < STRAIGHT_ON
+        sum_m2.normalize_or_zero().dot(normal) < STRAIGHT_ON
     }
 
     /// Joins the faces of the polygon to the cut so far. Where two pieces of the stroke meet at an angle, and the front of the
@@ -587,25 +597,15 @@ impl Work<'_> {
         let Some(start) = (0..self.sweep.n_lines()).find(|&k| self.sweep.side(k) == Side::Start) else {
             return;
         };
-        if !self.patch.nodes.iter().any(|n| n.is_front) {
-            return;
-        }
-        if !self.turns() {
+        if !self.patch.nodes.iter().any(|n| n.is_front) || !self.turns() {
             return;
         }
         let gaps = self.gaps(start, inside);
         if gaps.is_empty() {
             return;
         }
-        let is_front = |n: &u32| self.patch.nodes[*n as usize].is_front;
-        let front = (0..self.patch.nodes.len() as u32).filter(is_front);
-        let mut tets = Vec::new();
-        for node in gaps.iter().flatten().copied().chain(front).collect::<Vec<u32>>() {
-            self.patch.pull_star(self.body, node);
-            tets.extend_from_slice(self.patch.star(node));
-        }
-        tets.sort_unstable();
-        tets.dedup();
+        let around: Vec<u32> = gaps.iter().flatten().copied().chain(self.front()).collect();
+        let tets = self.stars(&around);
         let before = inside.clone();
         let price = |face: [u32; 3]| match self.patch.cut.binary_search(&face) {
             Ok(_) => None,

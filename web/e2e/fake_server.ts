@@ -140,6 +140,7 @@ export class FakeSimulator {
           bleeding: null,
           contactPoints: this.watchers.has(client) ? organ.contactPoints() : null,
           threads: [],
+      inside: null,
           tools: [
             {
               tip_m: vec3(organ.tip_m),
@@ -201,6 +202,7 @@ export class FakeSimulator {
       models: ["closed-form dimple (test)"],
       fixed_nodes: fixedNodes,
       can_leave: false,
+    devices: [],
     };
   }
 

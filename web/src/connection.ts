@@ -13,6 +13,7 @@ import type { Feel } from "./feel";
 import { text } from "./language";
 import type { TaskNews } from "./task";
 import type { Role, Timing } from "./timing";
+import type { Parameters } from "./turning/parameters";
 
 export type ConnectionState = "connecting" | "open" | "lost";
 
@@ -25,6 +26,7 @@ export interface ConnectionEvents {
   timing(timing: Timing): void;
   feel(feel: Feel): void;
   task(task: TaskNews): void;
+  parameters(parameters: Parameters): void;
   /** An error message of the server, or a message that could not be understood. */
   error(message: string): void;
   /** What is as it should be, and worth knowing. */
@@ -132,6 +134,7 @@ export class Connection {
         else if (message.type === "timing") this.events.timing(message);
         else if (message.type === "feel") this.events.feel(message);
         else if (message.type === "task") this.events.task(message);
+        else if (message.type === "parameters") this.events.parameters(message);
         else if (message.type === "news") this.events.notice(message.message);
         else this.events.error(text("server_says", { message: message.message }));
       } else if (data instanceof ArrayBuffer) {

@@ -69,6 +69,11 @@ export class HandMotion {
     else this.events.viewed(zoomed(this.scene.orbit, notches));
   }
 
+  /** Something else was asked of an instrument: the next frame says so. */
+  wake(): void {
+    this.events.moved();
+  }
+
   /** Turns an instrument about its shaft. */
   roll(by_rad: number, tool = this.hands.chosen): void {
     this.hands.roll(tool, by_rad, this.scene.roll_rad(tool));
@@ -76,13 +81,13 @@ export class HandMotion {
   }
 
   /** Moves the tip along the screen (right, up, into). */
-  nudge(direction: readonly [number, number, number], step_m: number): void {
-    const current = this.scene.pose(this.hands.chosen);
+  nudge(direction: readonly [number, number, number], step_m: number, tool = this.hands.chosen): void {
+    const current = this.scene.pose(tool);
     if (current === null) return;
     const { right, up, forward } = this.scene.axes();
     const [x, y, z] = direction;
     const offset = new Vector3().addScaledVector(right, x).addScaledVector(up, y).addScaledVector(forward, z);
-    this.hands.driver.nudge(offset.multiplyScalar(step_m), current);
+    this.hands.driverOf(tool).nudge(offset.multiplyScalar(step_m), current);
     this.events.moved();
   }
 

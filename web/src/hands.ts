@@ -55,12 +55,23 @@ export class Hands {
     this.hands = this.hands.map(({ homeJaw }) => newHand(homeJaw));
   }
 
-  /** Closes or opens the jaws of the instrument in the hand, or switches it on or off. */
-  press(what: "jaws" | "trigger"): void {
-    const hand = this.hands[this.chosen];
-    if (what === "jaws") hand.jaw = hand.jaw > 0.5 ? 0 : 1;
-    else hand.trigger = hand.trigger > 0.5 ? 0 : 1;
+  /** Closes or opens the jaws of an instrument, or switches it on or off. */
+  press(what: "jaws" | "trigger", tool = this.chosen): void {
+    const hand = this.hands[tool];
+    this.hold(what, what === "jaws" ? hand.jaw > 0.5 : hand.trigger <= 0.5, tool);
+  }
+
+  /** The jaws of an instrument are closed, or it is on: as long as a pedal is pressed, say. */
+  hold(what: "jaws" | "trigger", isHeld: boolean, tool = this.chosen): void {
+    const hand = this.hands[tool];
+    if (what === "jaws") hand.jaw = isHeld ? 0 : 1;
+    else hand.trigger = isHeld ? 1 : 0;
     hand.unsent = true;
+  }
+
+  /** Whether there is an instrument of that number. */
+  has(tool: number): boolean {
+    return tool < this.hands.length;
   }
 
   /** Turns an instrument about its shaft; `shown_rad` is how it is turned as shown. */

@@ -1,49 +1,8 @@
 /** Which key does what: one table for the keyboard, the buttons and the help page. */
+import type { Action } from "./actions";
 import { keysIn, LANGUAGE, text } from "./language";
 
-export type Action =
-  | "pause"
-  | "single_step"
-  | "slow_motion"
-  | "reset_view"
-  | "reset_simulation"
-  | "next_model"
-  | "tilt_left"
-  | "tilt_right"
-  | "wireframe"
-  | "contacts"
-  | "forces"
-  | "fixed_nodes"
-  | "bodies"
-  | "theatre"
-  | "wipe"
-  | "outside"
-  | "panel"
-  | "plot"
-  | "screenshot"
-  | "profiler"
-  | "help"
-  | "start_page"
-  | "leave"
-  | "tool_place"
-  | "tool_left"
-  | "tool_right"
-  | "tool_up"
-  | "tool_down"
-  | "tool_deeper"
-  | "tool_back"
-  | "cut"
-  | "clip"
-  | "refine"
-  | "undo"
-  | "jaws"
-  | "trigger"
-  | "roll_left"
-  | "roll_right"
-  | "tool_1"
-  | "tool_2"
-  | "tool_3"
-  | "tool_4";
+export { type Action };
 
 export interface Chord {
   /** `KeyboardEvent.key`, letters in lower case. */
@@ -92,6 +51,7 @@ export const BINDINGS: readonly Binding[] = [
   own("simulation", "slow_motion", "< or ,", [...both("<"), ...plain(",")]),
   own("simulation", "reset_simulation", "Shift R", [{ key: "r", shift: true }]),
   own("simulation", "next_model", "M", plain("m")),
+  own("simulation", "turning", "Shift M", [{ key: "m", shift: true }]),
   own("simulation", "tilt_left", "Shift ←", [{ key: "arrowleft", shift: true }], true),
   own("simulation", "tilt_right", "Shift →", [{ key: "arrowright", shift: true }], true),
   own("view", "reset_view", "R or Backspace", plain("r", "backspace")),
@@ -100,6 +60,10 @@ export const BINDINGS: readonly Binding[] = [
   own("view", "forces", "F", plain("f")),
   own("view", "fixed_nodes", "T", plain("t")),
   own("view", "bodies", "Y", plain("y")),
+  own("view", "field", "Shift C", [{ key: "c", shift: true }]),
+  own("view", "plane", "Shift X", [{ key: "x", shift: true }]),
+  own("view", "plane_deeper", "Page ↓", plain("pagedown"), true),
+  own("view", "plane_back", "Page ↑", plain("pageup"), true),
   own("view", "theatre", "N", plain("n")),
   own("view", "wipe", "D", plain("d")),
   own("view", "outside", "Shift N", [{ key: "n", shift: true }]),
@@ -124,6 +88,9 @@ export const BINDINGS: readonly Binding[] = [
   own("instrument", "tool_4", "4", plain("4")),
   own("program", "panel", "Shift P", [{ key: "p", shift: true }]),
   own("program", "plot", "Shift F", [{ key: "f", shift: true }]),
+  own("program", "plot_next", "Shift G", [{ key: "g", shift: true }]),
+  own("program", "plot_save", "Shift S", [{ key: "s", shift: true }]),
+  own("program", "devices", "Shift D", [{ key: "d", shift: true }]),
   own("program", "screenshot", "S", plain("s")),
   own("program", "profiler", "P", plain("p")),
   own("program", "help", "H or F1", plain("h", "f1", "?")),
@@ -142,7 +109,7 @@ export interface KeyPress {
 
 /** Whether a key press is for the part of the page that has the focus: it presses a button, or chooses from a list. */
 export function isForPart({ target, key }: Pick<KeyboardEvent, "target" | "key">): boolean {
-  if (target instanceof HTMLSelectElement) return key !== "Escape";
+  if (target instanceof HTMLSelectElement || target instanceof HTMLInputElement) return key !== "Escape";
   return target instanceof HTMLButtonElement && (key === " " || key === "Enter");
 }
 
@@ -162,9 +129,12 @@ export function actionIn<A extends string>(press: KeyPress, bindings: ReadonlyAr
   return binding.action;
 }
 
+/** Take an instrument, in the order of their numbers. */
+export const TOOL_ACTIONS = ["tool_1", "tool_2", "tool_3", "tool_4"] as const;
+
 /** Number of the instrument that a key takes, from 0; null for other actions. */
 export function toolNumber(action: string): number | null {
-  const at = (["tool_1", "tool_2", "tool_3", "tool_4"] as const).findIndex((name) => name === action);
+  const at = TOOL_ACTIONS.findIndex((name) => name === action);
   return at < 0 ? null : at;
 }
 

@@ -1,6 +1,6 @@
 /**
  * The language of a page: the one that was chosen, else the first of the browser's that there is. It is decided when the page is loaded;
- * a choice loads the page anew. A page whose html says `data-language` is in that language alone.
+ * a choice loads the page anew.
  */
 import { keepSettings, readSettings } from "./settings";
 import { EN, type TextKey } from "./texts_en";
@@ -27,6 +27,10 @@ const NAMES_OF_KEYS: ReadonlyArray<readonly [RegExp, string]> = [
   [/\bShift\b/g, "Maj"],
   [/\bSpace\b/g, "Espace"],
   [/\bBackspace\b/g, "Retour arrière"],
+  [/\bPage Up\b/g, "Page préc."],
+  [/\bPage Down\b/g, "Page suiv."],
+  [/\bHome\b/g, "Origine"],
+  [/\bEnd\b/g, "Fin"],
   [/\bEsc\b/g, "Échap"],
   [/ or /g, " ou "],
 ];
@@ -39,8 +43,6 @@ export function keysIn(language: Language, keys: string): string {
 
 function languageOfPage(): Language {
   if (typeof document === "undefined") return "en";
-  const fixed = document.documentElement.dataset.language;
-  if (fixed !== undefined && isLanguage(fixed)) return fixed;
   return languageOf(readSettings().language, navigator.languages);
 }
 

@@ -10,7 +10,7 @@
  * Through an endoscope there is no studio: the lamp beside its lens, whose light falls off with the square of the distance, lights
  * everything (`theatre/lamp.ts`).
  */
-import { Color, ShaderMaterial, Vector3, type Texture } from "three";
+import { Color, ShaderMaterial, Vector3, Vector4, type Texture } from "three";
 import { LAMP, withLampTwin } from "./theatre/lamp";
 
 type Triple = readonly [number, number, number];
@@ -87,6 +87,7 @@ void main() {
 
 const ORGAN_FRAGMENT = /* glsl */ `
 uniform sampler2D tissue;
+uniform vec4 cutPlane;
 uniform vec3 toolTip;
 uniform vec3 toolShaft;
 uniform float toolRadius;
@@ -112,6 +113,7 @@ float shade(vec3 p, vec3 n) {
   return 1.0 - 0.72 * facing * clamp(1.9 * toolRadius * toolRadius / distance2, 0.0, 1.0);
 }
 void main() {
+  if (dot(vWorld, cutPlane.xyz) > cutPlane.w) discard;
   vec3 weights = abs(normalize(vRestNormal));
   weights = weights * weights * weights;
   weights /= weights.x + weights.y + weights.z;
@@ -159,8 +161,13 @@ void main() {
   colour += vec3(0.34, 0.37, 0.43) * rim * rim * rim * rim * 0.16 * clamp(0.35 + 0.65 * broad.y, 0.0, 1.0) * open;
 #endif
 
-  gl_FragColor = vec4(colour, 1.0);
-  #include <tonemapping_fragment>
+  if (vPaint.a > 1.5) {
+    // A field's colour, which a legend explains: shaded, but of the same hue in any light.
+    gl_FragColor = vec4(vPaint.rgb * (0.62 + 0.38 * facing), 1.0);
+  } else {
+    gl_FragColor = vec4(colour, 1.0);
+    #include <tonemapping_fragment>
+  }
   #include <colorspace_fragment>
 }
 `;
@@ -228,6 +235,8 @@ export function organMaterial(tissue: Texture): ShaderMaterial {
     fragmentShader: ORGAN_FRAGMENT,
     uniforms: {
       tissue: { value: tissue },
+      // What is beyond is not shown; nothing is.
+      cutPlane: { value: new Vector4(0, 0, 0, 1) },
       toolTip: { value: new Vector3(0, 0, 10) },
       toolShaft: { value: new Vector3(0, 0, 1) },
       toolRadius: { value: 0.005 },

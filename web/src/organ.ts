@@ -10,9 +10,11 @@ import {
   Mesh,
   Points,
   PointsMaterial,
+  type Material,
   type ShaderMaterial,
 } from "three";
 import { uniqueEdges, vertexNormalsInto } from "./geometry";
+import { colourInto } from "./inside/colours";
 import { fractalNoise } from "./noise";
 import { ProtocolError, type BodyInfo, type Snapshot, type Topology } from "./protocol";
 
@@ -40,6 +42,9 @@ export function insideOf({ nodeIds, triangles, isCut }: Topology): Float32Array 
   });
   return inside;
 }
+
+/** How much of a field's colour shows: all of it, whatever lies above and below (`materials.ts`). */
+const FIELD_PAINT = 2;
 
 /** A rigid body without a colour of its own: bone. */
 const RIGID_COLOR = "#d8d0bc";
@@ -72,6 +77,9 @@ export class Organ {
   private readonly edges: LineSegments;
   private readonly fixed: Points;
   private readonly geometries: BufferGeometry[];
+  private readonly paint: BufferAttribute;
+  private readonly ownPaint: Float32Array;
+  private isColoured = false;
 
   constructor(
     readonly topology: Topology,
@@ -93,7 +101,9 @@ export class Organ {
     geometry.setAttribute("restNormal", new BufferAttribute(this.normals.slice(), 3));
     geometry.setAttribute("tone", new BufferAttribute(toneOf(rest_m), 1));
     geometry.setAttribute("inside", new BufferAttribute(insideOf(topology), 1));
-    geometry.setAttribute("paint", new BufferAttribute(paintOf(topology, bodies), 4));
+    this.ownPaint = paintOf(topology, bodies);
+    this.paint = new BufferAttribute(this.ownPaint.slice(), 4).setUsage(DynamicDrawUsage);
+    geometry.setAttribute("paint", this.paint);
     geometry.setIndex(new BufferAttribute(triangles, 1));
     this.triangles = triangles;
     this.surface = new Mesh(geometry, material);
@@ -144,6 +154,24 @@ export class Organ {
     this.position.needsUpdate = true;
     this.normal.needsUpdate = true;
     return true;
+  }
+
+  /** Colours the surface by a value at each vertex, of which `top` has the scale's upper end; null: as it is. */
+  colour(values: Float32Array | null, top: number): void {
+    if (values === null && !this.isColoured) return;
+    this.isColoured = values !== null;
+    const paint = this.paint.array as Float32Array;
+    if (values === null) paint.set(this.ownPaint);
+    values?.forEach((value, vertex) => {
+      colourInto(value / top, paint, 4 * vertex);
+      paint[4 * vertex + 3] = FIELD_PAINT;
+    });
+    this.paint.needsUpdate = true;
+  }
+
+  /** Of what is drawn on the surface. */
+  get markMaterials(): readonly Material[] {
+    return [this.edges.material as LineBasicMaterial, this.fixed.material as PointsMaterial];
   }
 
   setStyle(style: SurfaceStyle): void {

@@ -37,9 +37,7 @@ export class Help {
     page.append(element("h1", "", text("help_title")));
     const columns = element("div", "help-columns");
     for (const [title, lines] of groups) columns.append(this.group(title, lines));
-    // A page in one language alone has none to choose.
-    if (document.documentElement.dataset.language === undefined) page.append(languageChoice());
-    page.append(columns, element("p", "help-foot", text("help_foot")));
+    page.append(languageChoice(), columns, element("p", "help-foot", text("help_foot")));
     this.root.append(page);
     this.root.addEventListener("click", (event) => {
       if (event.target === this.root) this.open = false;
@@ -124,11 +122,11 @@ export function showConnection(page: Pick<Page, "link" | "banner">, state: Conne
 }
 
 const GROUPS = [
-  [["pause", "␣"], ["single_step", "→"], ["slow_motion", "<"], ["reset_simulation", "⇧R"], ["next_model", "M"]],
-  [["reset_view", "R"], ["wireframe", "W"], ["fixed_nodes", "T"], ["contacts", "C"], ["forces", "F"]],
+  [["pause", "␣"], ["single_step", "→"], ["slow_motion", "<"], ["reset_simulation", "⇧R"], ["next_model", "M"], ["turning", "⇧M"]],
+  [["reset_view", "R"], ["wireframe", "W"], ["fixed_nodes", "T"], ["contacts", "C"], ["forces", "F"], ["field", "⇧C"], ["plane", "⇧X"]],
   [["theatre", "N"], ["wipe", "D"], ["outside", "⇧N"]],
   [["cut", "X"]],
-  [["panel", "⇧P"], ["screenshot", "S"], ["profiler", "P"], ["help", "H"]],
+  [["panel", "⇧P"], ["screenshot", "S"], ["profiler", "P"], ["devices", "⇧D"], ["help", "H"]],
   [["start_page", "⇧Q"]],
 ] as const;
 
@@ -160,7 +158,8 @@ export class Toolbar extends ButtonBar<Action> {
   }
 
   /** Shows all switches as on or off. */
-  show(paused: boolean, help: boolean, shown: ShownParts, theatre: ShownTheatre, leaving: "offered" | "asked" | null, speed: number): void {
+  show(paused: boolean, help: boolean, shown: ShownParts, theatre: ShownTheatre, leaving: "offered" | "asked" | null, speed: number, lab: Readonly<Partial<Record<Action, boolean>>>): void {
+    for (const [action, on] of Object.entries(lab)) this.set(action as Action, on);
     this.set("pause", paused, text(paused ? "button_go_on" : "button_pause"));
     this.set("slow_motion", speed < 1, speed < 1 ? text("button_slow_at", { speed }) : text("button_slow_motion"));
     this.set("wireframe", shown.style !== 0);
@@ -191,7 +190,7 @@ export async function savePicture(picture: Promise<Blob>, step: number, messages
 }
 
 /** Offers `content` as a file to save. */
-function download(content: Blob, name: string): void {
+export function download(content: Blob, name: string): void {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(content);
   link.download = name;

@@ -14,6 +14,8 @@ export interface Page {
   readonly hint: HTMLElement;
   readonly task: HTMLElement;
   readonly outside: HTMLElement;
+  readonly turning: HTMLElement;
+  readonly inside: HTMLElement;
 }
 
 function part<T extends HTMLElement>(id: string): T {
@@ -38,5 +40,7 @@ export function findPage(): Page {
     hint: part("hint"),
     task: part("task"),
     outside: part("outside"),
+    turning: part("turning"),
+    inside: part("inside"),
   };
 }

@@ -100,9 +100,9 @@ export function panelValues(
   peak_n: number,
   arrowScale_m_per_n: number,
   tool: number,
-  news: Pick<LoopNews, "role" | "timing" | "feel"> = { role: null, timing: null, feel: null },
+  news: Pick<LoopNews, "role" | "timing" | "feel" | "parameters"> = { role: null, timing: null, feel: null, parameters: null },
 ): PanelValues {
-  const { role, timing, feel } = news;
+  const { role, timing, feel, parameters } = news;
   const scene = hello?.scene;
   const force = header === null ? null : lengthOf(header.forceOnTool_n);
   return {
@@ -125,7 +125,7 @@ export function panelValues(
     haptic_jitter: timing?.haptics ? jitterText(timing.haptics) : NONE,
     haptic_tick: timing?.haptics ? tickText(timing.haptics) : NONE,
     model: scene?.model ?? NONE,
-    material: scene?.material ?? NONE,
+    material: parameters?.material ?? scene?.material ?? NONE,
     mesh: scene === undefined ? NONE : `${grouped.format(scene.n_nodes)} / ${grouped.format(scene.n_tetrahedra)}`,
     bleeding: header?.bleeding ? bleedingText(header.bleeding) : NONE,
     blood_lost: header?.bleeding ? `${(1e6 * header.bleeding.lost_m3).toFixed(1)} ml` : NONE,
@@ -178,8 +178,9 @@ export class Panel {
     arrow.title = text("arrow_scale_about");
     arrow.append(element("span", "label", text("arrow_scale")), this.cell("arrow_scale", "value"));
     this.plot = element("canvas", "plot");
-    this.plot.setAttribute("aria-label", text("plot_label"));
-    this.plotLegend = element("div", "plot-legend", text("plot_legend"));
+    this.plot.setAttribute("role", "img");
+    this.plot.setAttribute("aria-label", text("chart_force_time_about"));
+    this.plotLegend = element("div", "plot-legend", text("chart_force"));
     const hand = element("div", "force-parts");
     hand.title = text("hand_force_about");
     hand.append(element("span", "label", text("hand_force")), this.cell("hand_force", "value"));

@@ -1,4 +1,4 @@
-/** Force over simulated time: a bounded history, its scaling (pure), and its drawing on a canvas. */
+/** Force over simulated time: a bounded history; scales, and what all plots draw with. */
 
 /** The plot shows this much simulated time [s]. */
 export const PLOT_SPAN_S = 10;
@@ -60,27 +60,6 @@ export interface PlotArea {
   readonly height: number;
 }
 
-export interface PlotScale {
-  readonly start_s: number;
-  readonly top_n: number;
-  x(time_s: number): number;
-  y(force_n: number): number;
-}
-
-/** Time window [newest - span, newest] (from 0 at the beginning) and force window [0, nice ceiling of the largest]. */
-export function plotScale(samples: readonly Sample[], area: PlotArea): PlotScale {
-  const newest = samples.at(-1)?.time_s ?? 0;
-  const start_s = Math.max(0, newest - PLOT_SPAN_S);
-  const top_n = niceCeiling(samples.reduce((max, s) => Math.max(max, s.force_n), 0));
-  const clamp = (t: number): number => Math.min(1, Math.max(0, t));
-  return {
-    start_s,
-    top_n,
-    x: (time_s) => area.left + area.width * clamp((time_s - start_s) / PLOT_SPAN_S),
-    y: (force_n) => area.top + area.height * (1 - clamp(force_n / top_n)),
-  };
-}
-
 /**
  * Length of the force arrow for a newton [m/N]: 1, 2 or 5 times a power of ten, such that the largest force so far is at
  * most 6 cm long; at most 10 cm for a newton.
@@ -94,14 +73,21 @@ export function arrowScale_m_per_n(largest_n: number): number {
 }
 
 /** A line through `points` [CSS pixels] and the fill between it and the plot's floor. */
-export function drawCurve(context: CanvasRenderingContext2D, points: ReadonlyArray<readonly [number, number]>, area: PlotArea): void {
+export function drawCurve(
+  context: CanvasRenderingContext2D,
+  points: ReadonlyArray<readonly [number, number]>,
+  area: PlotArea,
+  colour = "#ffb45e",
+  isFilled = true,
+): void {
   if (points.length === 0) return;
   context.beginPath();
   points.forEach(([x, y], i) => (i === 0 ? context.moveTo(x, y) : context.lineTo(x, y)));
-  context.strokeStyle = "#ffb45e";
+  context.strokeStyle = colour;
   context.lineWidth = 1.5;
   context.lineJoin = "round";
   context.stroke();
+  if (!isFilled) return;
   context.lineTo(points[points.length - 1][0], area.top + area.height);
   context.lineTo(points[0][0], area.top + area.height);
   context.closePath();
@@ -128,39 +114,4 @@ export function fitted(
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
   return { context, width, height };
-}
-
-export function drawPlot(canvas: HTMLCanvasElement, history: ForceHistory): void {
-  const sheet = fitted(canvas);
-  if (sheet === null) return;
-  const { context, width, height } = sheet;
-  const area = { left: 34, top: 8, width: width - 42, height: height - 26 };
-  const samples = history.all();
-  const scale = plotScale(samples, area);
-  context.font = "10px system-ui, sans-serif";
-  context.fillStyle = "#7f8c98";
-  context.strokeStyle = "rgba(255,255,255,0.08)";
-  context.lineWidth = 1;
-  context.textAlign = "right";
-  context.textBaseline = "middle";
-  for (const part of [0, 0.5, 1]) {
-    const y = Math.round(scale.y(part * scale.top_n)) + 0.5;
-    context.beginPath();
-    context.moveTo(area.left, y);
-    context.lineTo(area.left + area.width, y);
-    context.stroke();
-    context.fillText(String(Number((part * scale.top_n).toPrecision(3))), area.left - 5, y);
-  }
-  context.textBaseline = "top";
-  context.textAlign = "left";
-  context.fillText(`${scale.start_s.toFixed(1)} s`, area.left, area.top + area.height + 5);
-  context.textAlign = "right";
-  context.fillText(`${(scale.start_s + PLOT_SPAN_S).toFixed(1)} s`, area.left + area.width, area.top + area.height + 5);
-  if (samples.length === 0) return;
-  const newest = samples[samples.length - 1];
-  drawCurve(context, samples.map((s) => [scale.x(s.time_s), scale.y(s.force_n)] as const), area);
-  context.beginPath();
-  context.arc(scale.x(newest.time_s), scale.y(newest.force_n), 2.5, 0, 2 * Math.PI);
-  context.fillStyle = "#ffd9a8";
-  context.fill();
 }

@@ -6,14 +6,17 @@
  */
 
 import { decodeTask, type TaskNews } from "./task";
+import { decodeParameters, type ParameterName, type Parameters } from "./turning/parameters";
 import { BLOOD_BYTES, decodeBlood, type Bleeding } from "./blood";
 import { bodiesAt, type BodyInfo } from "./body_info";
 import { contactPointsBytes, decodeContactPoints, type ContactPoints } from "./contact_points";
+import { decodeInside, insideBytes, type FieldKind, type InsideSnapshot } from "./inside/snapshot";
+import type { CutPlane } from "./inside/plane";
 import { decodeThreads, threadsBytes, type Thread } from "./threads";
 import { decodeFeel, type Feel } from "./feel";
 import { decodeRole, decodeTiming, type Role, type Timing } from "./timing";
 import { MOST_TOOLS, toolsAt, type JawsInfo, type OpticsInfo, type ToolInfo } from "./tool_info";
-import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Vec3 } from "./fields";
+import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Fields, type Vec3 } from "./fields";
 
 export const PROTOCOL_VERSION = 10;
 /** Bytes `GLSN` read as a little-endian u32. */
@@ -25,6 +28,7 @@ export const FLAG_PAUSED = 2;
 export const FLAG_GRASP = 4;
 export const FLAG_CONTACT_POINTS = 8;
 export const FLAG_THREADS = 16;
+export const FLAG_INSIDE = 32;
 
 export const TOPOLOGY_HEADER_BYTES = 24;
 export const SNAPSHOT_HEADER_BYTES = 64;
@@ -59,6 +63,8 @@ export interface Hello {
   readonly fixed_nodes: readonly number[];
   /** The page in control may end the simulation: a start page comes after it. */
   readonly can_leave: boolean;
+  /** Force-feedback devices, and which instrument each holds. */
+  readonly devices: ReadonlyArray<{ readonly tool: number; readonly name: string }>;
 }
 
 /** What the user should know: what is wrong, or (news) as it should be. */
@@ -114,6 +120,8 @@ export interface SnapshotHeader {
   /** Null unless the viewer asked for them. */
   readonly contactPoints: ContactPoints | null;
   readonly threads: readonly Thread[];
+  /** Null unless the viewer looks at it. */
+  readonly inside: InsideSnapshot | null;
 }
 
 /** A header with the state of the instrument in the hand at its top. */
@@ -153,7 +161,11 @@ export type ClientMessage =
   | { readonly type: "leave" }
   | { readonly type: "contacts"; readonly shown: boolean }
   | { readonly type: "gravity"; readonly m_per_s2: Vec3 }
-  | { readonly type: "model"; readonly name: string };
+  | { readonly type: "model"; readonly name: string }
+  | { readonly type: "turn"; readonly parameter: ParameterName; readonly body: number; readonly value: number }
+  | { readonly type: "inside"; readonly field: FieldKind; readonly plane: CutPlane | null; readonly energies: boolean }
+  | { readonly type: "offer"; readonly tool: number; readonly offered: boolean }
+  | { readonly type: "hold"; readonly tool: number; readonly held: boolean };
 
 export function encodeClientMessage(message: ClientMessage): string {
   return JSON.stringify(message);
@@ -162,7 +174,7 @@ export function encodeClientMessage(message: ClientMessage): string {
 // ---- text ----
 
 /** Decodes a text message of the server. */
-export function decodeText(text: string): Hello | ServerNotice | Role | Timing | Feel | TaskNews {
+export function decodeText(text: string): Hello | ServerNotice | Role | Timing | Feel | TaskNews | Parameters {
   let parsed: unknown;
   try {
     parsed = JSON.parse(text);
@@ -176,8 +188,9 @@ export function decodeText(text: string): Hello | ServerNotice | Role | Timing |
   if (type === "timing") return decodeTiming(fields);
   if (type === "feel") return decodeFeel(fields);
   if (type === "task") return decodeTask(fields);
+  if (type === "parameters") return decodeParameters(fields);
   if (type !== "hello") {
-    fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello, role, timing, feel, task, news or error`);
+    fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello, role, timing, feel, task, parameters, news or error`);
   }
   const protocol = numberAt(fields, "protocol", "hello");
   if (protocol !== PROTOCOL_VERSION) {
@@ -204,7 +217,17 @@ export function decodeText(text: string): Hello | ServerNotice | Role | Timing |
     models: stringsAt(fields, "models", "hello"),
     fixed_nodes: nodeIdsAt(fields, "fixed_nodes", "hello"),
     can_leave: fields.can_leave === true,
+    devices: devicesAt(fields),
   };
+}
+
+/** Recordings have none. */
+function devicesAt({ devices }: Fields): Array<{ tool: number; name: string }> {
+  if (!Array.isArray(devices)) return [];
+  return devices.map((item: unknown, i) => {
+    const device = fieldsOf(item, `devices[${i}]`);
+    return { tool: numberAt(device, "tool", `devices[${i}]`, 0), name: stringAt(device, "name", `devices[${i}]`) };
+  });
 }
 
 // ---- binary ----
@@ -290,9 +313,11 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
   const hasContacts = (flags & FLAG_CONTACT_POINTS) !== 0;
   const threads = contacts + (hasContacts ? contactPointsBytes(view, contacts) : 0);
   const hasThreads = (flags & FLAG_THREADS) !== 0;
+  const inside = threads + (hasThreads ? threadsBytes(view, threads) : 0);
+  const hasInside = (flags & FLAG_INSIDE) !== 0;
   checkLength(
     buffer.byteLength,
-    threads + (hasThreads ? threadsBytes(view, threads) : 0),
+    inside + (hasInside ? insideBytes(view, inside) : 0),
     `snapshot with ${nVertices} vertices and ${nBlood} records of blood`,
   );
   const step = view.getBigUint64(16, true);
@@ -339,6 +364,7 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
       bleeding: decodeBlood(view, blood, nBlood),
       contactPoints: hasContacts ? decodeContactPoints(view, contacts) : null,
       threads: hasThreads ? decodeThreads(view, threads) : [],
+      inside: hasInside ? decodeInside(view, inside, nVertices) : null,
     },
     positions_m,
   };

@@ -14,6 +14,7 @@ import { ContactMarks } from "./contact_marks";
 import type { PushStart, Ray, ToolPose, ViewAxes } from "./drag";
 import type { Feel } from "./feel";
 import { pickTriangle, type Pick } from "./geometry";
+import { InsidePicture } from "./inside/picture";
 import { Instrument } from "./instrument";
 import { organMaterial } from "./materials";
 import { tissueTexture } from "./noise";
@@ -70,6 +71,7 @@ export class Scene3d {
   readonly contactMarks = new ContactMarks();
   readonly taskMarks = new TaskMarks();
   readonly scene = new Scene();
+  readonly inside: InsidePicture;
   private readonly bleeding = new BleedingMarks();
   private readonly threads = new ThreadMarks();
   /** Noise of what is made up of tissue. */
@@ -98,7 +100,8 @@ export class Scene3d {
     this.renderer.toneMappingExposure = 1.08;
     this.renderer.setClearColor(0x000000, 0);
     this.material = organMaterial(this.tissue);
-    this.scene.add(this.bleeding.group, this.contactMarks.group, this.taskMarks.group, this.threads.group);
+    this.inside = new InsidePicture(this.material);
+    this.scene.add(this.inside.group, this.bleeding.group, this.contactMarks.group, this.taskMarks.group, this.threads.group);
     this.camera.up.set(0, 0, 1);
     this.orbit = orbitThatShows(new Vector3(-0.1, -0.1, -0.1), new Vector3(0.1, 0.1, 0.1), 1);
     this.resize();
@@ -187,6 +190,7 @@ export class Scene3d {
       old.dispose();
     }
     const organ = new Organ(topology, new Set(this.hello?.fixed_nodes ?? []), this.material, this.hello?.bodies);
+    this.inside.cutMarks(organ);
     organ.hide(this.hidden);
     organ.setStyle(this.style);
     organ.showFixed(this.fixedShown);
@@ -199,7 +203,8 @@ export class Scene3d {
   show(snapshot: Snapshot): "changed" | "same" | "other_topology" {
     const organ = this.organs.get(snapshot.header.organ);
     if (organ === undefined || organ.topology.version !== snapshot.header.version) return "other_topology";
-    if (!organ.show(snapshot)) return "same";
+    const isOther = this.inside.show(snapshot.header.inside, organ);
+    if (!organ.show(snapshot) && !isOther) return "same";
     this.taskMarks.follow(organ.positions_m);
     return "changed";
   }

@@ -1,11 +1,22 @@
 /** What the user chose, kept by the browser under one key. Storage that is broken, full or forbidden does no harm: then nothing is kept. */
 
+import { CHARTS, type ChartKind } from "./chart_kinds";
+import { FIELDS, type FieldKind } from "./inside/snapshot";
+import { padsOf, pedalsOf, type PadMappings, type Pedals } from "./input_devices/mapping";
+
 /** The number grows when what is kept is no longer understood. */
 export const SETTINGS_KEY = "glisson.settings.1";
 /** Surface, surface with edges, edges. */
 const N_STYLES = 3;
 
 export interface Settings {
+  /** Which chart the plot shows. */
+  readonly chart: ChartKind;
+  /** What gamepads do, by what they call themselves, and keys that are foot pedals. */
+  readonly pads: PadMappings;
+  readonly pedals: Pedals;
+  /** What bodies are coloured by. */
+  readonly field: FieldKind;
   /** Null until one was chosen: the browser's. */
   readonly language: "en" | "fr" | null;
   /** Through the endoscope, in scenes that have one. */
@@ -34,6 +45,10 @@ export const USUAL: Settings = {
   profiler: false,
   panel: null,
   plot: true,
+  chart: "force_time",
+  field: "none",
+  pads: {},
+  pedals: {},
 };
 
 export type Store = Pick<Storage, "getItem" | "setItem">;
@@ -73,6 +88,10 @@ export function settingsOf(text: string | null): Settings {
     profiler: flag("profiler", USUAL.profiler),
     panel: flag("panel", USUAL.panel),
     plot: flag("plot", USUAL.plot),
+    chart: CHARTS.find((kind) => kind === kept.chart) ?? USUAL.chart,
+    field: FIELDS.find((field) => field === kept.field) ?? USUAL.field,
+    pads: padsOf(kept.pads),
+    pedals: pedalsOf(kept.pedals),
   };
 }
 

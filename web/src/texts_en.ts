@@ -1,5 +1,11 @@
 /** What the pages say, in English: the table that every other language has to fill. `{name}` stands for a value. */
+import { PAGES_EN } from "./texts_pages_en";
+import { TOOLS_EN } from "./texts_tools_en";
+
 export const EN = {
+  ...TOOLS_EN,
+  ...PAGES_EN,
+
   // the page one begins with
   start_title: "Glisson: what to do",
   start_heading: "What do you want to do?",
@@ -67,8 +73,6 @@ export const EN = {
   force_peak: "Largest",
   arrow_scale: "Arrow",
   arrow_scale_about: "Length of the orange arrow for one newton",
-  plot_label: "Force over the last ten simulated seconds",
-  plot_legend: "force (N) over simulated time",
   plot_show: "Show the plot",
   plot_hide: "Hide the plot",
   panel_show: "Show all measurements",
@@ -186,6 +190,10 @@ export const EN = {
   button_panel: "Panel",
   button_screenshot: "Picture",
   button_profiler: "Times",
+  button_turning: "Numbers",
+  button_field: "Colours",
+  button_plane: "Cut plane",
+  button_devices: "Devices",
   button_help: "Help",
   button_start_page: "Start page",
   button_end_it: "End it?",
@@ -251,6 +259,14 @@ export const EN = {
   key_plot: "the plot of the force",
   key_screenshot: "save the picture as PNG",
   key_profiler: "times of a frame and of the simulation",
+  key_turning: "numbers that can be changed while it runs: tissue, damping, hand, gravity, time step",
+  key_field: "colours: tissue, strain, stress, mesh quality",
+  key_plane: "cut plane: none, axial, coronal, sagittal",
+  key_plane_deeper: "cut plane 2 mm deeper",
+  key_plane_back: "cut plane 2 mm back",
+  key_plot_next: "the next plot: force, displacement, energies, step time",
+  key_plot_save: "save the plots' numbers as CSV",
+  key_devices: "input devices: what they do, and a test of them",
   key_help: "this page",
   key_start_page: "end the simulation and go to the start page (press twice)",
   key_leave: "close a page, or take the instrument off the organ",

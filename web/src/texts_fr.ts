@@ -1,7 +1,11 @@
 /** What the pages say, in French; TypeScript refuses a table that lacks a text. */
 import type { TextKey } from "./texts_en";
+import { PAGES_FR } from "./texts_pages_fr";
+import { TOOLS_FR } from "./texts_tools_fr";
 
 export const FR: Readonly<Record<TextKey, string>> = {
+  ...TOOLS_FR,
+  ...PAGES_FR,
   start_title: "Glisson : que faire",
   start_heading: "Que voulez-vous faire ?",
   start_tasks: "Exercices",
@@ -66,8 +70,6 @@ export const FR: Readonly<Record<TextKey, string>> = {
   force_peak: "Maximum",
   arrow_scale: "Flèche",
   arrow_scale_about: "Longueur de la flèche orange pour un newton",
-  plot_label: "Force pendant les dix dernières secondes simulées",
-  plot_legend: "force (N) en fonction du temps simulé",
   plot_show: "Afficher la courbe",
   plot_hide: "Masquer la courbe",
   panel_show: "Afficher toutes les mesures",
@@ -183,6 +185,10 @@ export const FR: Readonly<Record<TextKey, string>> = {
   button_panel: "Mesures",
   button_screenshot: "Image",
   button_profiler: "Durées",
+  button_turning: "Nombres",
+  button_field: "Couleurs",
+  button_plane: "Coupe",
+  button_devices: "Appareils",
   button_help: "Aide",
   button_start_page: "Accueil",
   button_end_it: "Terminer ?",
@@ -247,6 +253,14 @@ export const FR: Readonly<Record<TextKey, string>> = {
   key_plot: "la courbe de la force",
   key_screenshot: "enregistrer l'image en PNG",
   key_profiler: "durées d'une image et de la simulation",
+  key_turning: "nombres qui changent pendant la simulation : tissu, amortissement, main, pesanteur, pas de temps",
+  key_field: "couleurs : tissu, déformation, contrainte, qualité du maillage",
+  key_plane: "plan de coupe : aucun, axial, coronal, sagittal",
+  key_plane_deeper: "plan de coupe 2 mm plus profond",
+  key_plane_back: "plan de coupe 2 mm en arrière",
+  key_plot_next: "la courbe suivante : force, déplacement, énergies, durée d'un pas",
+  key_plot_save: "enregistrer les nombres des courbes en CSV",
+  key_devices: "périphériques d'entrée : ce qu'ils font, et leur essai",
   key_help: "cette page",
   key_start_page: "terminer la simulation et revenir à l'accueil (appuyer deux fois)",
   key_leave: "fermer une page, ou retirer l'instrument de l'organe",

@@ -2,6 +2,7 @@
 import { text } from "./language";
 import { SlowMotion } from "./slow_motion";
 import { rumble, type Feel } from "./feel";
+import type { Parameters } from "./turning/parameters";
 import { fail, fieldsOf, numberAt, stringAt, type Fields } from "./fields";
 
 /** Whether this viewer controls, and whether anybody does. */
@@ -9,7 +10,13 @@ export interface Role {
   readonly type: "role";
   readonly role: "controller" | "viewer";
   readonly control_is_taken: boolean;
+  /** Who has each instrument in the hand. */
+  readonly instruments: readonly Holder[];
 }
+
+/** Who controls, or who takes it that is offered; this page, or another one that took it. */
+const HOLDERS = ["controller", "offered", "this", "another"] as const;
+export type Holder = (typeof HOLDERS)[number];
 
 export interface HapticTiming {
   readonly rate_hz: number;
@@ -68,7 +75,13 @@ export interface Timing {
 export function decodeRole(fields: Fields): Role {
   const role = stringAt(fields, "role", "role");
   if (role !== "controller" && role !== "viewer") fail(`role "${role.slice(0, 40)}"; allowed: controller, viewer`);
-  return { type: "role", role, control_is_taken: fields.control_is_taken === true };
+  return { type: "role", role, control_is_taken: fields.control_is_taken === true, instruments: holdersAt(fields) };
+}
+
+function holdersAt({ instruments }: Fields): Holder[] {
+  // Recordings and earlier servers have none.
+  if (!Array.isArray(instruments)) return [];
+  return instruments.map((found) => HOLDERS.find((holder) => holder === found) ?? fail(`role: instruments has "${String(found).slice(0, 40)}"; allowed: ${HOLDERS.join(", ")}`));
 }
 
 export function decodeTiming(fields: Fields): Timing {
@@ -215,6 +228,9 @@ export class LoopNews {
   timing: Timing | null = null;
   /** Null where no page is a device. */
   feel: Feel | null = null;
+  parameters: Parameters | null = null;
+  /** What else hears of them. */
+  turned: (parameters: Parameters) => void = () => undefined;
   /** What to do when a connection brings some. */
   readonly events = {
     role: (role: Role): void => {
@@ -224,6 +240,11 @@ export class LoopNews {
     timing: (timing: Timing): void => {
       this.timing = timing;
       this.slowMotion.hear(timing);
+      this.changed();
+    },
+    parameters: (parameters: Parameters): void => {
+      this.parameters = parameters;
+      this.turned(parameters);
       this.changed();
     },
     feel: (feel: Feel): void => {
@@ -240,6 +261,7 @@ export class LoopNews {
 
   /** How strongly a gamepad shakes that moves this instrument, 0 to 1; only the page in control holds one. */
   rumble(tool: number): number {
-    return this.role?.role === "controller" ? rumble(this.feel, tool) : 0;
+    const isOurs = this.role?.role === "controller" || this.role?.instruments[tool] === "this";
+    return isOurs ? rumble(this.feel, tool) : 0;
   }
 }

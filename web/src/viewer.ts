@@ -5,19 +5,18 @@ import { Controls } from "./controls";
 import { HandMotion } from "./hand_motion";
 import { Hands } from "./hands";
 import { newCounters, type ViewerParts } from "./hook";
-import { actionOf, isForPart, rollOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
+import { rollOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
 import { text } from "./language";
+import { Laboratory } from "./laboratory";
 import { goesElsewhere, Leaving } from "./leaving";
 import { Looks } from "./looks";
 import type { Orbit } from "./orbit";
 import { drawOrientation } from "./orientation";
 import { Help, Messages, savePicture, showConnection, Toolbar } from "./overlays";
 import type { Page } from "./page";
-import { lengthOf, Panel, panelValues } from "./panel";
+import { Panel, panelValues } from "./panel";
 import { BodyList } from "./bodies";
-import { arrowScale_m_per_n, drawPlot, ForceHistory } from "./plot";
 import { Profile, profilerReport } from "./profiler";
-import { GamepadInput } from "./gamepad";
 import { LoopNews } from "./timing";
 import { headerOfHand, ProtocolError, type HandHeader, type Hello, type Snapshot, type SnapshotHeader, type Topology } from "./protocol";
 import { Resolution } from "./resolution";
@@ -42,7 +41,7 @@ export class Viewer {
   private readonly task: TaskPanel;
   private readonly hands = new Hands();
   private readonly table = new Table();
-  private readonly history = new ForceHistory();
+  private readonly lab: Laboratory;
   private readonly profile = new Profile();
 
   private hello: Hello | null = null;
@@ -76,8 +75,13 @@ export class Viewer {
       viewed: (orbit) => this.setOrbit(orbit),
     });
     this.controls = new Controls(page.scene, this.motion);
-    window.addEventListener("keydown", (event) => this.key(event));
-    new GamepadInput((motion_m) => this.motion.nudge(motion_m, 1), (action) => this.run(action, false), () => this.news.rumble(this.hands.chosen));
+    const { panel, scene, hands, motion, news } = this;
+    this.lab = new Laboratory({ page, panel, scene, hands, motion, news, connection: () => this.connection }, {
+      run: (action, shift, tool) => this.run(action, shift, tool),
+      now: () => ({ hello: this.hello, role: news.role, chosen: hands.chosen }),
+      changed: () => this.refreshSwitches(),
+      redraw: () => this.redraw(),
+    });
     window.addEventListener("error", (event) => this.messages.error(text("page_error", { message: event.message })));
     window.addEventListener("unhandledrejection", (event) => this.messages.error(text("page_error", { message: String(event.reason) })));
     const sizes = new ResizeObserver(() => this.resize());
@@ -135,7 +139,7 @@ export class Viewer {
   private choose(tool: number): void {
     if (tool !== this.hands.chosen) this.controls.cancel();
     if (!this.hands.choose(tool, this.messages)) return;
-    this.history.clear();
+    this.lab.plots.clear();
     this.scene.choose(tool);
     this.theatre.choose(tool);
     if (this.header !== null) this.header = headerOfHand(this.header, tool);
@@ -145,8 +149,8 @@ export class Viewer {
     this.hello = hello;
     this.waiting.clear();
     this.header = null;
-    this.history.clear();
     this.contacts.forget();
+    this.lab.begin(hello);
     this.hands.begin(hello);
     this.scene.begin(hello);
     this.bodies.begin(hello.bodies);
@@ -165,9 +169,8 @@ export class Viewer {
   private receive(snapshot: Snapshot, bytes: number): void {
     this.counters.snapshotFrames += 1;
     this.profile.arrival({ at_ms: performance.now(), bytes });
-    const { organ, time_s, forceOnTool_n } = headerOfHand(snapshot.header, this.hands.chosen);
-    if (organ === 0) this.history.add({ time_s, force_n: lengthOf(forceOnTool_n) });
-    this.waiting.set(organ, snapshot);
+    this.lab.plots.add(snapshot.header, this.hands.chosen);
+    this.waiting.set(snapshot.header.organ, snapshot);
     this.invalidate();
   }
 
@@ -194,18 +197,12 @@ export class Viewer {
     this.redraw();
   }
 
-  private key(event: KeyboardEvent): void {
-    const action = isForPart(event) ? null : actionOf(event);
-    if (action === null) return;
-    event.preventDefault();
-    this.run(action, event.shiftKey);
-  }
-
-  private run(action: Action, shift: boolean): void {
+  /** Does what a key, a button, a gamepad or a pedal asks for; `of`: of which instrument. */
+  private run(action: Action, shift: boolean, of = this.hands.chosen): void {
     const direction = toolDirection(action);
-    if (direction !== null) return this.motion.nudge(direction, shift ? TOOL_STEP_WITH_SHIFT_M : TOOL_STEP_M);
+    if (direction !== null) return this.motion.nudge(direction, shift ? TOOL_STEP_WITH_SHIFT_M : TOOL_STEP_M, of);
     const roll_rad = rollOf(action);
-    if (roll_rad !== null) return this.motion.roll(roll_rad);
+    if (roll_rad !== null) return this.motion.roll(roll_rad, of);
     const tool = toolNumber(action);
     if (tool !== null) this.choose(tool);
     if (action === "bodies") this.bodies.hideNext();
@@ -216,14 +213,14 @@ export class Viewer {
       case "clip":
       case "refine":
       case "undo":
-        this.connection.send(messageOf(action, this.header?.paused, this.hands.chosen));
+        this.connection.send(messageOf(action, this.header?.paused, of));
         break;
       case "slow_motion":
         this.connection.send({ type: "speed", factor: this.news.slowMotion.next() });
         break;
       case "jaws":
       case "trigger":
-        this.hands.press(action);
+        this.hands.press(action, of);
         break;
       case "reset_simulation":
         this.controls.cancel();
@@ -277,6 +274,8 @@ export class Viewer {
       case "tool_place":
         this.motion.place();
         break;
+      default:
+        this.lab.run(action);
     }
     this.refreshSwitches();
     this.redraw();
@@ -293,6 +292,7 @@ export class Viewer {
   /** Closes what is open, else takes the instrument off the organ. */
   private leave(): void {
     if (this.help.open) this.help.open = false;
+    else if (this.lab.close()) return;
     else if (this.tool.pushing) this.controls.cancel();
     else if (this.tool.active) this.tool.retract();
     else if (this.looks.shown.profiler) this.run("profiler", false);
@@ -304,7 +304,7 @@ export class Viewer {
 
   private refreshSwitches(): void {
     const leaving = this.hello?.can_leave === true ? (this.leaving.isAsked(performance.now()) ? "asked" : "offered") : null;
-    this.toolbar.show(this.header?.paused ?? false, this.help.open, this.looks.shown, this.theatre, leaving, this.news.slowMotion.speed);
+    this.toolbar.show(this.header?.paused ?? false, this.help.open, this.looks.shown, this.theatre, leaving, this.news.slowMotion.speed, this.lab.shown);
   }
 
   private invalidate(): void {
@@ -324,7 +324,7 @@ export class Viewer {
     }
     this.showWaiting();
     if (this.sceneChanged) {
-      this.scene.styleTools(arrowScale_m_per_n(this.history.peak_n), this.looks.shown.forces, !this.looks.shown.contacts);
+      this.scene.styleTools(this.lab.plots.arrowScale_m_per_n, this.looks.shown.forces, !this.looks.shown.contacts);
       this.contacts.show(this.scene.distance_m);
       if (this.header !== null) {
         this.scene.showTools(this.header);
@@ -341,7 +341,7 @@ export class Viewer {
       this.scene.renderFinerAtRest(() => this.sceneChanged);
     }
     this.showPanel();
-    drawPlot(this.panel.plot, this.history);
+    this.lab.draw();
     if (this.viewChanged) drawOrientation(this.page.orientation, this.scene.orbit, this.scene.height);
     this.viewChanged = false;
     this.refreshSwitches();
@@ -377,8 +377,8 @@ export class Viewer {
   }
 
   private showPanel(): void {
-    const { hello, header, history, hands, news } = this;
-    this.panel.show(panelValues(hello, header, history.peak_n, arrowScale_m_per_n(history.peak_n), hands.chosen, news), header, news.slowMotion.speed);
+    const { hello, header, lab: { plots }, hands, news } = this;
+    this.panel.show(panelValues(hello, header, plots.force.peak_n, plots.arrowScale_m_per_n, hands.chosen, news), header, news.slowMotion.speed);
     this.panel.showJitter(news.timing?.haptics ?? null);
   }
 

@@ -2,22 +2,23 @@ import { describe, expect, it } from "vitest";
 import { rumble, type Feel } from "../src/feel";
 import { panelValues } from "../src/panel";
 import { decodeText, ProtocolError } from "../src/protocol";
-import { PAD_DEAD_ZONE, PAD_SPEED_M_PER_S, readPad, stick, type PadState } from "../src/gamepad";
+import { padsOf, pedalsOf, readPad, stick, USUAL_PAD, type PadState } from "../src/input_devices/mapping";
 
 const REST: PadState = { axes: [0.05, -0.1, 0, 0.02], pressed: [] };
 
 describe("gamepad", () => {
   it("does nothing at rest and moves with its sticks", () => {
-    expect(readPad(REST, REST, 0.016)).toEqual({ motion_m: [0, 0, 0], actions: [] });
-    const { motion_m } = readPad({ axes: [1, 1, 0, -1], pressed: [] }, REST, 0.1);
-    const reach_m = PAD_SPEED_M_PER_S * 0.1;
+    expect(readPad(REST, REST, 0.016, USUAL_PAD)).toEqual({ motion_m: [0, 0, 0], actions: [], roll_rad: 0 });
+    const { motion_m } = readPad({ axes: [1, 1, 0, -1], pressed: [] }, REST, 0.1, USUAL_PAD);
+    const reach_m = USUAL_PAD.speed_m_per_s * 0.1;
     expect(motion_m).toEqual([reach_m, -reach_m, reach_m]);
   });
 
   it("sticks begin softly and end at one, whatever a broken one says", () => {
-    expect([0, PAD_DEAD_ZONE, -PAD_DEAD_ZONE, Number.NaN].map(stick)).toEqual([0, 0, 0, 0]);
-    expect(stick(0.5)).toBeLessThan(0.25);
-    expect([stick(1), stick(-1), stick(7)]).toEqual([1, -1, 1]);
+    const { deadZone } = USUAL_PAD;
+    expect([0, deadZone, -deadZone, Number.NaN].map((x) => stick(x, deadZone))).toEqual([0, 0, 0, 0]);
+    expect(stick(0.5, deadZone)).toBeLessThan(0.25);
+    expect([1, -1, 7].map((x) => stick(x, deadZone))).toEqual([1, -1, 1]);
   });
 
   it("shakes with what the hand feels that this page holds, and only then", () => {
@@ -34,7 +35,7 @@ describe("gamepad", () => {
     ) as Feel;
     expect([0, 1, 2, 3].map((tool) => rumble(feel, tool))).toEqual([0, 1 / 3, 0, 1]);
     expect(rumble(null, 0)).toBe(0);
-    const shown = (tool: number) => panelValues(null, null, 0, 1, tool, { role: null, timing: null, feel }).hand_force;
+    const shown = (tool: number) => panelValues(null, null, 0, 1, tool, { role: null, timing: null, feel, parameters: null }).hand_force;
     expect([0, 1, 2].map(shown)).toEqual(["–", "1.000 N", "let go"]);
     for (const bad of [{}, { hands: [{ tool: 0 }] }, { hands: [], greatest_force_n: "x" }, { hands: 3, greatest_force_n: 1 }]) {
       expect(() => decodeText(JSON.stringify({ type: "feel", greatest_force_n: 1, ...bad }))).toThrow(ProtocolError);
@@ -43,8 +44,32 @@ describe("gamepad", () => {
 
   it("acts once when a button goes down, not when it was down from the start", () => {
     const down: PadState = { axes: [], pressed: [true, false, true] };
-    expect(readPad(down, REST, 0.016).actions).toEqual(["trigger", "cut"]);
-    expect(readPad(down, down, 0.016).actions).toEqual([]);
-    expect(readPad(down, null, 0.016).actions).toEqual([]);
+    expect(readPad(down, REST, 0.016, USUAL_PAD).actions).toEqual(["trigger", "cut"]);
+    expect(readPad(down, down, 0.016, USUAL_PAD).actions).toEqual([]);
+    expect(readPad(down, null, 0.016, USUAL_PAD).actions).toEqual([]);
+  });
+
+  it("does what it is mapped to", () => {
+    const mapping = {
+      ...USUAL_PAD,
+      deadZone: 0.5,
+      speed_m_per_s: 0.2,
+      axes: { ...USUAL_PAD.axes, right: { axis: 5, inverted: true }, up: { axis: null, inverted: false }, roll: { axis: 2, inverted: false } },
+      buttons: { 7: "cut" as const },
+    };
+    const now: PadState = { axes: [1, 1, 1, 0.4, 0, 1], pressed: [true, false, false, false, false, false, false, true] };
+    expect(readPad(now, { axes: [], pressed: [] }, 0.1, mapping)).toEqual({
+      motion_m: [-(0.2 * 0.1), 0, 0],
+      roll_rad: Math.PI / 20,
+      actions: ["cut"],
+    });
+  });
+
+  it("is kept for each device, as far as what was kept is understood", () => {
+    const kept = { "Pad A": { ...USUAL_PAD, instrument: 1, speed_m_per_s: 99, buttons: { 0: "explode", 1: "cut" } }, "Pad B": 3 };
+    expect(padsOf(JSON.parse(JSON.stringify(kept)))).toEqual({ "Pad A": { ...USUAL_PAD, instrument: 1, buttons: { 1: "cut" } }, "Pad B": USUAL_PAD });
+    const pedals = { KeyB: { action: "trigger", instrument: 1, whileHeld: true }, F13: { action: "nothing" }, F14: { action: "cut", instrument: -1 } };
+    expect(pedalsOf(pedals)).toEqual({ KeyB: pedals.KeyB, F14: { action: "cut", instrument: null, whileHeld: false } });
+    for (const nothing of [null, 3, "x", []]) expect([padsOf(nothing), pedalsOf(nothing)]).toEqual([{}, {}]);
   });
 });

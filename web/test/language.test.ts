@@ -48,7 +48,7 @@ describe("the tables", () => {
   });
 
   it("the fixed parts of the pages ask for texts that there are", () => {
-    for (const page of ["index.html", "start.html"]) {
+    for (const page of ["index.html", "start.html", "patient.html", "replay.html"]) {
       const html = readFileSync(fileURLToPath(new URL(`../${page}`, import.meta.url)), "utf8");
       const asked = [...html.matchAll(/data-(?:text|label)="(\w+)"/g)].map(([, key]) => key);
       expect(asked.length).toBeGreaterThan(5);

@@ -1,6 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { forceText, panelValues, pointText_mm } from "../src/panel";
-import { arrowScale_m_per_n, ForceHistory, niceCeiling, PLOT_SPAN_S, plotScale } from "../src/plot";
+import { ChartHistory, type Moment } from "../src/charts";
+import { arrowScale_m_per_n, ForceHistory, niceCeiling, PLOT_SPAN_S } from "../src/plot";
 import { Profile } from "../src/profiler";
 import { Resolution } from "../src/resolution";
 
@@ -26,24 +27,56 @@ describe("plot", () => {
     }
   });
 
-  const area = { left: 30, top: 10, width: 200, height: 100 };
+  const chartOf = (samples: ReadonlyArray<readonly [number, number]>) => {
+    const force = new ForceHistory();
+    for (const [time_s, force_n] of samples) force.add({ time_s, force_n });
+    return new ChartHistory().chart("force_time", force);
+  };
 
-  it("scales a short history from time 0", () => {
-    const scale = plotScale([{ time_s: 0, force_n: 0 }, { time_s: 5, force_n: 1.5 }], area);
-    expect([scale.start_s, scale.top_n]).toEqual([0, 2]);
-    expect([scale.x(0), scale.x(5), scale.x(10)]).toEqual([30, 130, 230]);
-    expect([scale.y(0), scale.y(1), scale.y(2)]).toEqual([110, 60, 10]);
+  it("a short history has its scale from time 0, an empty one too", () => {
+    expect(chartOf([[0, 0], [5, 1.5]])).toMatchObject({ from: 0, to: PLOT_SPAN_S, top: 2, xUnit: "s", yUnit: "N" });
+    expect(chartOf([])).toMatchObject({ from: 0, to: PLOT_SPAN_S, top: 0.01 });
   });
 
-  it("scrolls: the newest sample is at the right edge, older ones are cut at the left", () => {
-    const scale = plotScale([{ time_s: 90, force_n: 1 }, { time_s: 100, force_n: 1 }], area);
-    expect(scale.x(100)).toBe(230);
-    expect(scale.x(50)).toBe(30);
+  it("scrolls: the newest sample is at the right edge", () => {
+    expect(chartOf([[90, 1], [100, 1]])).toMatchObject({ from: 90, to: 100 });
   });
 
-  it("an empty history has a scale too", () => {
-    const scale = plotScale([], area);
-    expect([scale.x(0), scale.y(0)]).toEqual([30, 110]);
+  const moment = (time_s: number, depth_mm: number, force_n: number): Moment => ({
+    time_s,
+    force_n,
+    tip_m: [0, 0, -1e-3 * depth_mm],
+    contact: force_n > 0,
+    energies_j: time_s < 2 ? null : [1e-3, 2e-3, 3e-3],
+  });
+
+  it("the curve of an indentation counts from where the tip touched, in the last contact alone", () => {
+    const history = new ChartHistory();
+    const moments: ReadonlyArray<readonly [number, number, number]> = [[0, -9, 0], [1, 1, 5], [2, -3, 0], [3, 2, 0.5], [4, 5, 1.5], [5, 4, 1], [6, -8, 0]];
+    for (const [time_s, depth_mm, force_n] of moments) history.add(moment(time_s, depth_mm, force_n));
+    const { lines, to, top, xUnit } = history.chart("force_displacement", new ForceHistory());
+    expect(lines[0].points.map(([x, y]) => [Number(x.toFixed(9)), y])).toEqual([[0, 0.5], [3, 1.5], [2, 1]]);
+    expect([to, top, xUnit]).toEqual([5, 2, "mm"]);
+  });
+
+  it("energies begin when somebody looks inside; step times come once a second", () => {
+    const history = new ChartHistory();
+    for (let time_s = 0; time_s < 4; time_s++) history.add(moment(time_s, 0, 0));
+    const energies = history.chart("energy", new ForceHistory());
+    expect(energies.lines.map(({ points }) => points)).toEqual([1, 2, 3].map((mj) => [[2, mj], [3, mj]]));
+    const steps = { steps: 9, p50_us: 400, p99_us: 900, p999_us: 950, budget_us: 1000, over_budget: 0, frame_p50_ms: 16, frame_p999_ms: 17, frame_budget_ms: 16 };
+    history.addTiming({ steps });
+    expect(history.chart("step_time", new ForceHistory()).lines.map(({ points }) => points)).toEqual([[[3, 0.4]], [[3, 0.9]], [[3, 1]]]);
+  });
+
+  it("as a table it has a head with units, and empty cells for what is not known", () => {
+    const history = new ChartHistory();
+    history.add(moment(0.1 + 0.2, -9, 0));
+    history.add(moment(3, 2, 0.5));
+    const [head, first, second, gap, stepHead, end] = history.csv().split("\n");
+    expect(head.split(",")).toHaveLength(6);
+    expect([first, second, gap, end]).toEqual(["0.3,0,,,,", "3,0.5,0,0.001,0.002,0.003", "", ""]);
+    expect(stepHead).toBe("time_s,step_median_us,step_p99_us,step_budget_us");
   });
 
   it("history is bounded in time and number, keeps the peak, begins anew after a reset", () => {

@@ -41,6 +41,7 @@ const SNAPSHOT: Snapshot = {
     },
     contactPoints: null,
     threads: [],
+      inside: null,
     tools: [
       {
         tip_m: [0.01, -0.02, 0.03],
@@ -122,6 +123,7 @@ const HELLO: Hello = {
   models: ["precomputed", "tensor_mass"],
   fixed_nodes: [1, 2, 3],
   can_leave: true,
+      devices: [{ tool: 0, name: "simulated" }],
 };
 
 /** Small seeded generator (xorshift32, Marsaglia 2003, doi 10.18637/jss.v008.i14). */

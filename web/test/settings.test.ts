@@ -1,4 +1,5 @@
 import { describe, expect, it } from "vitest";
+import { USUAL_PAD } from "../src/input_devices/mapping";
 import { keepSettings, readSettings, SETTINGS_KEY, settingsOf, USUAL, type Settings, type Store } from "../src/settings";
 
 class Kept implements Store {
@@ -22,6 +23,10 @@ const OTHER: Settings = {
   profiler: true,
   panel: false,
   plot: false,
+  chart: "energy",
+  field: "stress",
+  pads: { "A pad": { ...USUAL_PAD, instrument: 1, deadZone: 0.3 } },
+  pedals: { KeyB: { action: "trigger", instrument: 0, whileHeld: true } },
 };
 
 describe("what the user chose", () => {

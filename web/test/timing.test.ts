@@ -41,7 +41,7 @@ const TIMING = {
 
 describe("who controls and how the loops keep time", () => {
   it("reads roles and timing", () => {
-    const role = { type: "role", role: "viewer", control_is_taken: true };
+    const role = { type: "role", role: "viewer", control_is_taken: true, instruments: ["offered", "this"] };
     expect(decodeText(JSON.stringify(role))).toEqual(role);
     const timing = decodeText(JSON.stringify(TIMING)) as Timing;
     expect(timing.haptics).toMatchObject({ jitter_p50_us: 12, jitter_p999_us: 80.5, model_age_max_ms: 120 });
@@ -72,7 +72,7 @@ describe("who controls and how the loops keep time", () => {
   it("says in the panel what a tick takes, and where haptics are when they are not here", () => {
     const shown = (message: object | null) => {
       const timing = message === null ? null : (decodeText(JSON.stringify(message)) as Timing);
-      const { haptics, haptic_tick } = panelValues(null, null, 0, 1, 0, { role: null, timing, feel: null });
+      const { haptics, haptic_tick } = panelValues(null, null, 0, 1, 0, { role: null, timing, feel: null, parameters: null });
       return [haptics, haptic_tick];
     };
     expect(shown(TIMING)).toEqual(["1000 Hz, 0.03 % missed", "12 of 1000 µs, 99.9 % 81"]);
@@ -107,6 +107,7 @@ describe("who controls and how the loops keep time", () => {
   it("refuses what it cannot read", () => {
     for (const bad of [
       { type: "role", role: "king" },
+      { type: "role", role: "viewer", instruments: ["mine"] },
       { type: "timing" },
       { ...TIMING, simulation: { ...TIMING.simulation, effort: 3 } },
       { ...TIMING, haptics: { ...TIMING.haptics, jitter_us: { p50: "12" } } },

@@ -1,5 +1,8 @@
-//! One viewer controls, all may watch.
+//! One viewer controls, all may watch. It may offer instruments to the others, of whom each may take one into the hand: so two people at two
+//! machines operate together.
 
+use crate::live::Command;
+use glisson::tool::MAX_TOOLS;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
@@ -13,6 +16,37 @@ pub struct Viewer {
     pub has_page: bool,
 }
 
+/// Who has an instrument in the hand.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Holder {
+    /// Who controls.
+    #[default]
+    Controller,
+    /// Who controls, until another viewer takes it.
+    Offered,
+    /// This viewer, who took it.
+    Taken(Viewer),
+}
+
+/// Who steers what.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Steers {
+    /// Who controls the simulation, and the instruments that nobody else has.
+    pub controller: Option<Viewer>,
+    /// Who has each instrument.
+    pub holders: [Holder; MAX_TOOLS],
+}
+
+impl Steers {
+    /// Who has an instrument in the hand.
+    pub fn holder(&self, tool: usize) -> Option<Viewer> {
+        match self.holders.get(tool) {
+            Some(Holder::Taken(viewer)) => Some(*viewer),
+            _ => self.controller,
+        }
+    }
+}
+
 #[derive(Debug, Default)]
 struct Seats {
     n_viewers: usize,
@@ -23,12 +57,12 @@ struct Seats {
 #[derive(Debug)]
 pub struct Control {
     seats: Mutex<Seats>,
-    controller: watch::Sender<Option<Viewer>>,
+    steers: watch::Sender<Steers>,
 }
 
 impl Default for Control {
     fn default() -> Self {
-        Self { seats: Mutex::default(), controller: watch::channel(None).0 }
+        Self { seats: Mutex::default(), steers: watch::Sender::new(Steers::default()) }
     }
 }
 
@@ -60,30 +94,77 @@ impl Control {
         Some(Viewer { number: seats.last_number, has_page })
     }
 
-    /// Frees the viewer's place and, if it controls, control.
+    /// Frees the viewer's place and what it has: control, instruments.
     pub fn leave(&self, viewer: Viewer) {
         self.release(viewer);
+        (0..MAX_TOOLS).for_each(|tool| self.give_back(viewer, tool));
         self.seats().n_viewers -= 1;
     }
 
     /// Whether this viewer controls; takes control when nobody has it.
     pub fn may_control(&self, viewer: Viewer) -> bool {
-        let take = |controller: &mut Option<Viewer>| {
-            let is_free = controller.is_none();
+        let take = |steers: &mut Steers| {
+            let is_free = steers.controller.is_none();
             if is_free {
-                *controller = Some(viewer);
+                steers.controller = Some(viewer);
             }
             is_free
         };
-        self.controller.send_if_modified(take) || *self.controller.borrow() == Some(viewer)
+        self.steers.send_if_modified(take) || self.steers.borrow().controller == Some(viewer)
+    }
+
+    /// Whether this viewer may give a command: of an instrument that somebody took, who took it, else who controls. Takes control
+    /// where nobody has it.
+    pub fn may_command(&self, viewer: Viewer, command: &Command) -> bool {
+        match command {
+            Command::Tool { tool, .. }
+            | Command::Cut { tool }
+            | Command::Clip { tool }
+            | Command::Refine { tool }
+                if let Some(Holder::Taken(holder)) = self.steers.borrow().holders.get(*tool) =>
+            {
+                *holder == viewer
+            }
+            _ => self.may_control(viewer),
+        }
+    }
+
+    /// The one who controls offers an instrument to the others, or has it again, whoever took it. Answers whether it may.
+    pub fn offer(&self, viewer: Viewer, tool: usize, is_offered: bool) -> bool {
+        let offer = |steers: &mut Steers| {
+            let may = steers.controller == Some(viewer);
+            if let (true, Some(holder)) = (may, steers.holders.get_mut(tool)) {
+                *holder = if is_offered { Holder::Offered } else { Holder::Controller };
+            }
+            may
+        };
+        self.steers.send_if_modified(offer)
+    }
+
+    /// Takes an instrument that is offered. Answers whether it was.
+    pub fn take(&self, viewer: Viewer, tool: usize) -> bool {
+        let take = |steers: &mut Steers| {
+            let offered = steers.holders.get_mut(tool).filter(|holder| **holder == Holder::Offered);
+            offered.map(|holder| *holder = Holder::Taken(viewer)).is_some()
+        };
+        self.steers.send_if_modified(take)
+    }
+
+    /// Gives an instrument back that this viewer took: then it is offered again.
+    pub fn give_back(&self, viewer: Viewer, tool: usize) {
+        let give = |steers: &mut Steers| {
+            let taken = steers.holders.get_mut(tool).filter(|holder| **holder == Holder::Taken(viewer));
+            taken.map(|holder| *holder = Holder::Offered).is_some()
+        };
+        self.steers.send_if_modified(give);
     }
 
     /// Gives control away; the next viewer who does something has it.
     pub fn release(&self, viewer: Viewer) {
-        self.controller.send_if_modified(|controller| {
-            let is_own = *controller == Some(viewer);
+        self.steers.send_if_modified(|steers| {
+            let is_own = steers.controller == Some(viewer);
             if is_own {
-                *controller = None;
+                steers.controller = None;
             }
             is_own
         });
@@ -91,12 +172,12 @@ impl Control {
 
     /// Whether somebody else controls.
     pub(crate) fn is_with_another(&self, viewer: Viewer) -> bool {
-        self.controller.borrow().is_some_and(|controller| controller != viewer)
+        self.steers.borrow().controller.is_some_and(|controller| controller != viewer)
     }
 
-    /// Tells who controls whenever that changes.
-    pub fn watch(&self) -> watch::Receiver<Option<Viewer>> {
-        self.controller.subscribe()
+    /// Tells who steers what whenever that changes.
+    pub fn watch(&self) -> watch::Receiver<Steers> {
+        self.steers.subscribe()
     }
 }
 
@@ -113,11 +194,36 @@ mod tests {
         control.release(other);
         assert!(!control.may_control(other));
         control.release(one);
-        assert_eq!(*changes.borrow_and_update(), None);
+        assert_eq!(changes.borrow_and_update().controller, None);
         assert!(control.may_control(other) && !control.may_control(one));
         control.leave(other);
         assert!(control.may_control(one));
-        assert_eq!(*changes.borrow(), Some(one));
+        assert_eq!(changes.borrow().controller, Some(one));
+    }
+
+    #[test]
+    fn an_offered_instrument_is_its_takers_alone_until_it_is_given_or_called_back() {
+        let control = Control::default();
+        let [one, other, third] = [(); 3].map(|()| control.enter().unwrap());
+        let cut = |tool| Command::Cut { tool };
+        assert!(!control.take(other, 1), "not offered");
+        assert!(!control.offer(other, 1, true), "who watches offers nothing");
+        assert!(control.offer(one, 1, true));
+        assert!(control.may_command(one, &cut(1)), "until it is taken");
+        assert!(control.take(other, 1) && !control.take(third, 1));
+        assert!(control.may_command(other, &cut(1)) && !control.may_command(one, &cut(1)));
+        assert!(!control.may_command(other, &cut(0)) && !control.may_command(other, &Command::Reset));
+        assert!(control.may_command(one, &Command::Reset));
+        assert_eq!(control.watch().borrow().holder(1), Some(other));
+        // Who controls goes; the other keeps the instrument, and may also control then.
+        control.leave(one);
+        assert_eq!(control.watch().borrow().holder(1), Some(other));
+        assert!(control.may_command(third, &Command::Undo) && !control.may_command(third, &cut(1)));
+        control.leave(other);
+        assert!(control.may_command(third, &cut(1)) && control.take(third, 1));
+        assert!(control.offer(third, 1, false), "called back");
+        assert_eq!(control.watch().borrow().holders, [Holder::Controller; MAX_TOOLS]);
+        assert!(!control.take(third, MAX_TOOLS), "no such instrument");
     }
 
     #[test]

@@ -27,6 +27,7 @@ pub mod page_hand;
 pub mod open_device;
 pub mod haptic_loop;
 pub mod remote_figures;
+pub mod inside;
 pub mod watchers;
 pub mod published;
 pub mod display;
@@ -38,4 +39,4 @@ pub mod devices;
 pub mod tasks;
 
 pub use incidents::Notice;
-pub use simulation::{Broken, OpenScene, Simulation};
+pub use simulation::{Broken, OpenScene, ParameterState, Parameters, Simulation};

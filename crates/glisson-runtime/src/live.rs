@@ -15,6 +15,7 @@ use glisson::math::DVec3;
 use glisson::model::LevelOfDetail;
 use glisson::model::StateHash;
 use glisson::model::kind::ModelKind;
+use glisson::record::parameter::Parameter;
 use glisson::tool::external_detection::ExternalDetection;
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::StepInput;
@@ -47,6 +48,15 @@ pub enum Command {
     Model(ModelKind),
     /// The table is tilted: gravity from now on [m/s2].
     Gravity(DVec3),
+    /// A number of the scene is turned.
+    Turn {
+        /// Of which body; 0 for what is of no body.
+        body: usize,
+        /// Which one.
+        parameter: Parameter,
+        /// To what, in SI.
+        value: f64,
+    },
     /// What the tip of an instrument touches is cut away.
     Cut {
         /// Its number.
@@ -193,6 +203,11 @@ fn homes(simulation: &Simulation) -> Vec<ToolInput> {
 }
 
 impl Live {
+    /// Simulated time of a step, which may be turned.
+    fn step(&self) -> Duration {
+        Duration::from_secs_f64(self.dt_s)
+    }
+
     fn refuse_tool(&mut self, tool: usize) {
         let n_tools = self.tools.len();
         self.simulation
@@ -266,6 +281,7 @@ impl Live {
         }
         let detected = self.detected;
         self.simulation.advance(&StepInput { placed, detected, ..StepInput::of(&self.tools) })?;
+        self.dt_s = self.simulation.world().spec().time_step_s;
         self.publish_models();
         Ok(())
     }
@@ -359,6 +375,10 @@ impl Live {
                 return Ok(true);
             }
             Command::Gravity(gravity_m_per_s2) => self.simulation.set_gravity(gravity_m_per_s2)?,
+            Command::Turn { body, parameter, value } => {
+                self.simulation.turn(body, parameter, value, None)?;
+                return Ok(true);
+            }
             Command::Stop => {}
         }
         Ok(false)
@@ -424,7 +444,6 @@ struct Timed<'a> {
     pace: PaceMeter,
     control: EffortControl,
     lateness: Lateness,
-    step: Duration,
     simulated_until: Instant,
     next_frame: Instant,
     last_shown: Option<Instant>,
@@ -466,7 +485,6 @@ impl<'a> Timed<'a> {
             pace: PaceMeter { since: now, steps: 0, busy: Duration::ZERO, pace: Pace::default() },
             control: EffortControl::default(),
             lateness: Lateness::default(),
-            step: Duration::from_secs_f64(dt_s),
             simulated_until: now,
             next_frame: now,
             last_shown: None,
@@ -544,12 +562,14 @@ impl<'a> Timed<'a> {
             self.simulated_until = now;
         }
         let mut steps = 0;
-        while self.simulated_until <= Instant::now() && Instant::now() < self.next_frame.max(now + self.step)
+        while self.simulated_until <= Instant::now()
+            && Instant::now() < self.next_frame.max(now + self.live.step())
         {
             let begun = Instant::now();
             self.live.advance()?;
             self.meters.count_step(begun.elapsed());
-            self.simulated_until += self.step.div_f64(self.live.speed);
+            self.meters.set_budget(self.live.step());
+            self.simulated_until += self.live.step().div_f64(self.live.speed);
             steps += 1;
         }
         if let Some(load) = self.pace.count(steps, now.elapsed(), self.live.dt_s)
@@ -564,7 +584,7 @@ impl<'a> Timed<'a> {
 
     /// Publishes the state where a frame is due or a command changed something.
     fn show(&mut self) -> anyhow::Result<()> {
-        let lacks = self.live.paused && self.latest.lacks_contact_points();
+        let lacks = self.live.paused && self.latest.lacks_what_is_watched();
         let wants_refresh = std::mem::take(&mut self.wants_refresh) || lacks;
         if !wants_refresh && (self.live.paused || Instant::now() < self.next_frame) {
             return Ok(());

@@ -52,6 +52,11 @@ impl StepMeters {
         Self { budget_ns: AtomicU64::new(ns(budget)), ..Self::default() }
     }
 
+    /// What each step may take from now on.
+    pub(crate) fn set_budget(&self, budget: Duration) {
+        self.budget_ns.store(ns(budget), Ordering::Relaxed);
+    }
+
     /// A step took so long. One thread counts.
     pub(crate) fn count_step(&self, time: Duration) {
         let time_ns = ns(time);

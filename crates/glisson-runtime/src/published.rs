@@ -1,8 +1,9 @@
 //! The state of a simulation that displays are shown.
 
+use crate::inside::Inside;
 use crate::pace::{Pace, StepMeters};
-use crate::watchers::ContactWatchers;
-use crate::{Notice, Simulation};
+use crate::watchers::Watchers;
+use crate::{Notice, Parameters, Simulation};
 use glisson::model::kind::ModelKind;
 use glisson::model::{LevelOfDetail, StateHash};
 use glisson::record::snapshot::{ContactPoints, DisplayTopology, Snapshot};
@@ -16,6 +17,8 @@ pub struct Published {
     pub snapshot: Snapshot,
     /// Where surfaces bear forces; none while nobody looks at them.
     pub contact_points: Option<ContactPoints>,
+    /// What is inside of the bodies; none while nobody looks at it.
+    pub inside: Option<Arc<Inside>>,
     /// The triangles that the snapshot's vertices belong to.
     pub topology: Arc<DisplayTopology>,
     /// How the simulation keeps up with the clock.
@@ -24,6 +27,8 @@ pub struct Published {
     pub state_hash: StateHash,
     /// Which model moves the organ.
     pub model: ModelKind,
+    /// How what can be turned stands.
+    pub parameters: Arc<Parameters>,
     /// What the user should know, in order: the newest, and how many there were altogether.
     pub notices: Vec<Notice>,
     /// How many notices there were altogether.
@@ -43,7 +48,9 @@ pub struct Published {
     /// How long steps take, up to now and not only up to this state.
     pub meters: Arc<StepMeters>,
     /// Who looks at contact points, now and not only at this state.
-    pub contact_watchers: Arc<ContactWatchers>,
+    pub contact_watchers: Arc<Watchers>,
+    /// Who looks at the inside of bodies.
+    pub inside_watchers: Arc<Watchers>,
 }
 
 /// How far the simulation fell behind the clock.
@@ -55,11 +62,20 @@ pub struct Lateness {
     pub left_out_s: f64,
 }
 
+/// What is gathered for who looks at it.
+struct Watched<'a> {
+    contacts: Arc<Watchers>,
+    inside: Arc<Watchers>,
+    /// The inside of the state before.
+    before: Option<&'a Inside>,
+}
+
 impl Published {
     /// The state of a simulation of which nothing was shown yet.
     pub(crate) fn first(simulation: &Simulation, meters: &Arc<StepMeters>) -> Self {
         let topology = Arc::new(simulation.world().display_topology());
-        Self::of(simulation, topology, (meters, &Arc::default()))
+        let nobody = Watched { contacts: Arc::default(), inside: Arc::default(), before: None };
+        Self::of(simulation, topology, meters, nobody)
     }
 
     /// The state now, after this one. What still holds is shared.
@@ -70,19 +86,28 @@ impl Published {
         } else {
             Arc::new(world.display_topology())
         };
-        let next = Self::of(simulation, topology, (&self.meters, &self.contact_watchers));
+        let watched = Watched {
+            contacts: Arc::clone(&self.contact_watchers),
+            inside: Arc::clone(&self.inside_watchers),
+            before: self.inside.as_deref(),
+        };
+        let next = Self::of(simulation, topology, &self.meters, watched);
         let task_record = self.task_record.clone().filter(|_| next.task_is_over());
         let task_record = task_record.or_else(|| record_of_finished(simulation));
-        Self { pace, lateness, task_record, ..next }
+        let is_same = next.parameters == self.parameters;
+        let parameters = Arc::clone(if is_same { &self.parameters } else { &next.parameters });
+        Self { pace, lateness, task_record, parameters, ..next }
     }
 
     fn of(
         simulation: &Simulation,
         topology: Arc<DisplayTopology>,
-        (meters, watchers): (&Arc<StepMeters>, &Arc<ContactWatchers>),
+        meters: &Arc<StepMeters>,
+        watched: Watched<'_>,
     ) -> Self {
         let world = simulation.world();
-        let contact_points = watchers.are_there().then(|| {
+        let inside = watched.inside.are_there().then(|| Arc::new(Inside::of(simulation, watched.before)));
+        let contact_points = watched.contacts.are_there().then(|| {
             let mut points = ContactPoints::default();
             world.contact_points_into(&mut points);
             points
@@ -90,10 +115,12 @@ impl Published {
         Self {
             snapshot: world.snapshot(),
             contact_points,
+            inside,
             topology,
             pace: Pace::default(),
             state_hash: world.state_hash(),
             model: world.model_kind(),
+            parameters: Arc::new(simulation.parameters()),
             notices: simulation.notices().to_vec(),
             n_notices: simulation.n_notices(),
             task: simulation.task().map(TaskRun::status),
@@ -103,7 +130,8 @@ impl Published {
             lateness: Lateness::default(),
             effort: world.effort(),
             meters: Arc::clone(meters),
-            contact_watchers: Arc::clone(watchers),
+            contact_watchers: watched.contacts,
+            inside_watchers: watched.inside,
         }
     }
 
@@ -118,9 +146,10 @@ impl Published {
         self.task.as_ref().is_some_and(|task| task.outcome.is_some())
     }
 
-    /// Whether somebody looks at contact points and this state has none.
-    pub(crate) fn lacks_contact_points(&self) -> bool {
+    /// Whether somebody looks at something that this state does not have.
+    pub(crate) fn lacks_what_is_watched(&self) -> bool {
         self.contact_points.is_none() && self.contact_watchers.are_there()
+            || self.inside.is_none() && self.inside_watchers.are_there()
     }
 
     /// Those that came after the first `n_told` ones, but for what is no longer kept.

@@ -107,6 +107,9 @@ pub fn replay(
             SessionEvent::Gravity { gravity_m_per_s2, .. } => simulation.set_gravity(gravity_m_per_s2)?,
             SessionEvent::Remove { ref tets, .. } => simulation.remove_tetrahedra(tets.clone())?,
             SessionEvent::QueueModelSwap { at_step, model, .. } => simulation.order_model(model, at_step)?,
+            SessionEvent::Turn { at_step, body, parameter, value, .. } => {
+                simulation.turn(usize::from(body), parameter, value, Some(at_step))?;
+            }
             SessionEvent::Checkpoint { step, state_hash } => {
                 report.checkpoints += 1;
                 if simulation.world().state_hash() != state_hash {

@@ -1,17 +1,17 @@
-//! Who looks at contact points: they are gathered only while somebody does.
+//! Who looks at what is not gathered unless somebody does: contact points, the inside of bodies.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// How many look.
 #[derive(Debug, Default)]
-pub struct ContactWatchers(AtomicUsize);
+pub struct Watchers(AtomicUsize);
 
-impl ContactWatchers {
+impl Watchers {
     /// Somebody looks, until what is answered is dropped.
-    pub fn enter(self: &Arc<Self>) -> ContactWatcher {
+    pub fn enter(self: &Arc<Self>) -> Watcher {
         self.0.fetch_add(1, Ordering::Relaxed);
-        ContactWatcher(Arc::clone(self))
+        Watcher(Arc::clone(self))
     }
 
     /// Whether anybody looks.
@@ -22,9 +22,9 @@ impl ContactWatchers {
 
 /// Somebody who looks.
 #[derive(Debug)]
-pub struct ContactWatcher(Arc<ContactWatchers>);
+pub struct Watcher(Arc<Watchers>);
 
-impl Drop for ContactWatcher {
+impl Drop for Watcher {
     fn drop(&mut self) {
         self.0.0.fetch_sub(1, Ordering::Relaxed);
     }
@@ -36,7 +36,7 @@ mod tests {
 
     #[test]
     fn as_long_as_one_looks_somebody_does() {
-        let all = Arc::<ContactWatchers>::default();
+        let all = Arc::<Watchers>::default();
         assert!(!all.are_there());
         let (one, other) = (all.enter(), all.enter());
         drop(one);

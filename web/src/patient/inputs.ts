@@ -1,4 +1,5 @@
 /** What is said of the organ that is looked for: its name, points and outlines, kept for each organ. */
+import { text } from "../language";
 import type { Outline, PlaneName, Point } from "./state";
 import type { ShownPoint } from "./view";
 
@@ -57,7 +58,7 @@ export class Inputs {
   finish(isInSlice: (outline: Outline) => boolean): string | null {
     const [first] = this.draft;
     if (first === undefined || this.draft.length < LEAST_CORNERS) {
-      return `an outline has ${LEAST_CORNERS} corners at least, this one has ${this.draft.length}`;
+      return text("patient_corners", { least: LEAST_CORNERS, n: this.draft.length });
     }
     // The organ is in the slice after all.
     this.byHand = this.byHand.filter((outline) => outline.points_mm.length > 0 || !isInSlice(outline));
@@ -77,6 +78,6 @@ export class Inputs {
 /** An outline in words. */
 export function outlineWords({ through_mm, points_mm }: Outline, plane: PlaneName): string {
   const along = { axial: 2, coronal: 1, sagittal: 0 }[plane];
-  const what = points_mm.length > 0 ? `${points_mm.length} corners` : "not in this slice";
-  return `${plane} ${through_mm[along]!.toFixed(1)} mm: ${what}`;
+  const what = points_mm.length > 0 ? text("patient_n_corners", { n: points_mm.length }) : text("patient_not_in_slice");
+  return text("patient_outline_at", { plane: text(`patient_${plane}`), at: through_mm[along]!.toFixed(1), what });
 }

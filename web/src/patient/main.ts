@@ -5,6 +5,7 @@ import { facts, item, named, options, part } from "./dom";
 import { droppedFiles, imageFiles } from "./drop";
 import { fetchServed, openServed } from "../served";
 import { OrganSection } from "./organs";
+import { languageChoice, text, translatePage } from "../language";
 import { clamped, middleVoxel, normalAxis, type Box } from "./planes";
 import { fetchState, post, sendFiles, sliceAddress, type ImageSummary, type PatientState, type PlaneName, type Point, type Step } from "./state";
 import { TetrahedraSection } from "./tetrahedra";
@@ -13,6 +14,9 @@ import { PlaneView, type Cross, type PlaneHandlers } from "./view";
 /** How often the server is asked, while a step runs and else [ms]. */
 const ASK_BUSY_MS = 250;
 const ASK_IDLE_MS = 2000;
+translatePage();
+document.querySelector("header")?.append(languageChoice());
+
 const PLANES: readonly PlaneName[] = ["axial", "coronal", "sagittal"];
 
 const status = part("status");
@@ -49,7 +53,7 @@ function showPlanes(): void {
     view.load(sliceAddress(plane, cross.at_mm, window_, state.version));
     view.mark(cross, marks);
     const caption = part(plane).parentElement?.querySelector("figcaption");
-    if (caption != null) caption.textContent = `${plane} ${cross.at_mm[normalAxis(plane)]!.toFixed(1)} mm`;
+    if (caption != null) caption.textContent = text("patient_plane_at", { plane: text(`patient_${plane}`), at: cross.at_mm[normalAxis(plane)]!.toFixed(1) });
   }
   part("window").textContent = `${window_[0].toFixed(0)} ± ${(0.5 * window_[1]).toFixed(0)}`;
 }
@@ -71,9 +75,9 @@ function setUpImage(image: ImageSummary): void {
   select.replaceChildren();
   options(select, labels, labels.find(({ text }) => text === "liver")?.value);
   facts(part("found"), [
-    ["format", image.modality === null ? image.format : `${image.format}, ${image.modality}`],
-    ["voxels", `${image.voxels.join(" × ")} of ${image.spacing_mm.map((x) => x.toFixed(2)).join(" × ")} mm`],
-    ["holds", labels.length > 0 ? `${labels.length} labels` : `values from ${least} to ${most}`],
+    [text("patient_format"), image.modality === null ? image.format : `${image.format}, ${image.modality}`],
+    [text("patient_voxels"), text("patient_voxels_of", { n: image.voxels.join(" × "), size: image.spacing_mm.map((x) => x.toFixed(2)).join(" × ") })],
+    [text("patient_holds"), labels.length > 0 ? text("patient_n_labels", { n: labels.length }) : text("patient_values", { least, most })],
   ]);
   part("notes").replaceChildren(...image.notes.map((note) => item(note, [])));
   part("as-values").hidden = !image.are_labels_guessed;
@@ -97,7 +101,7 @@ function show(now: PatientState): void {
   const { image, mesh, job } = now;
   const isBusy = job !== null;
   if (!isSending) {
-    const running = job?.is_cancelled === true ? "cancelling" : job?.what;
+    const running = job?.is_cancelled === true ? text("patient_cancelling") : job?.what;
     status.textContent = job === null ? stepWords(now) : `${running}… ${job.seconds.toFixed(0)} s`;
     status.classList.toggle("busy", isBusy);
   }
@@ -136,11 +140,11 @@ function show(now: PatientState): void {
 }
 
 function stepWords(now: PatientState): string {
-  if (now.image === null && now.series.length > 0) return "the folder holds several series: choose one";
-  if (now.image === null) return "waiting for an image";
-  if (now.organs.length === 0) return now.image.labels.length > 0 ? "choose the organ's label" : "set points in and around the organ, then find it";
-  if (now.mesh === null) return "look for another organ, or fill with tetrahedra";
-  return "choose tissue, model and what holds it, then start";
+  if (now.image === null && now.series.length > 0) return text("patient_several");
+  if (now.image === null) return text("patient_waiting");
+  if (now.organs.length === 0) return now.image.labels.length > 0 ? text("patient_choose_label") : text("patient_set_points");
+  if (now.mesh === null) return text("patient_look_or_fill");
+  return text("patient_choose_tissue");
 }
 
 function seriesButton(words: string, place: number): HTMLLIElement {
@@ -162,7 +166,7 @@ async function take(files: readonly File[]): Promise<void> {
   if (isSending) return;
   complain(null);
   if (files.length === 0) {
-    complain("there is no file of an image in it");
+    complain(text("patient_no_image"));
     return;
   }
   isSending = true;
@@ -170,7 +174,7 @@ async function take(files: readonly File[]): Promise<void> {
   let upload: number | undefined;
   try {
     upload = await sendFiles(files, (done) => {
-      status.textContent = `sending ${done} of ${files.length} files…`;
+      status.textContent = text("patient_sending", { done, n: files.length });
     });
   } catch (error) {
     complainOf(error);
@@ -192,7 +196,7 @@ async function ask(): Promise<void> {
     const now = await fetchState();
     show(now);
     if (now.started) {
-      await goOn("starting the simulation…");
+      await goOn(text("patient_starting"));
       return;
     }
   } catch (error) {
@@ -202,7 +206,7 @@ async function ask(): Promise<void> {
       openServed();
       return;
     }
-    status.textContent = "the server does not answer";
+    status.textContent = text("patient_silent");
     console.warn(error);
   }
   isAsking = false;
@@ -225,7 +229,7 @@ async function goOn(words: string): Promise<void> {
 async function leave(): Promise<void> {
   try {
     await post("leave", {});
-    await goOn("going back…");
+    await goOn(text("patient_going_back"));
   } catch (error) {
     complainOf(error);
   }

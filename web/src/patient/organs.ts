@@ -1,6 +1,7 @@
 /** The organs: what is said of the one that is looked for, and the list of those that were found. */
 import { item, part } from "./dom";
 import { Inputs, outlineWords, type Kind, type Method } from "./inputs";
+import { text } from "../language";
 import { isOneSlice, normalAxis } from "./planes";
 import { fetchOutlines, type Outline, type PatientState, type PlaneName, type Point, type Step } from "./state";
 import type { Cross, Marks } from "./view";
@@ -64,7 +65,7 @@ export class OrganSection {
   begin(): void {
     this.inputs.forget();
     this.found = [];
-    part("outline-plane").textContent = this.planeOfSlices();
+    part("contours-about").textContent = text("patient_contours_about", { plane: text(`patient_${this.planeOfSlices()}`) });
     this.nameByLabel();
     this.showInputs();
   }
@@ -93,7 +94,7 @@ export class OrganSection {
       if (first !== undefined && !isOneSlice(plane, { ...cross, at_mm }, first)) this.inputs.draft = [];
       this.inputs.draft.push(at_mm);
     } else {
-      this.host.complain(`outlines are drawn in the ${this.planeOfSlices()} plane, along the slices of the image`);
+      this.host.complain(text("patient_draw_in", { plane: text(`patient_${this.planeOfSlices()}`) }));
       return;
     }
     this.showInputs();
@@ -144,8 +145,8 @@ export class OrganSection {
     };
     part("points").replaceChildren(
       ...points.map(({ at_mm, kind }, number) => {
-        const words = `${kind} ${at_mm.map((x) => x.toFixed(1)).join(", ")} mm`;
-        const node = item(words, [{ text: "remove", name: `remove the point ${words}`, press: removed("points", points, number) }]);
+        const words = `${text(`patient_kind_${kind}`)} ${at_mm.map((x) => x.toFixed(1)).join(", ")} mm`;
+        const node = item(words, [{ text: text("patient_remove"), name: text("patient_remove_point", { what: words }), press: removed("points", points, number) }]);
         node.className = kind;
         return node;
       }),
@@ -154,8 +155,8 @@ export class OrganSection {
       ...byHand.map((outline, number) => {
         const words = outlineWords(outline, this.planeOfSlices());
         return item(words, [
-          { text: "go", name: `go to ${words}`, press: () => this.goToSlice(outline.through_mm) },
-          { text: "remove", name: `remove ${words}`, press: removed("outlines", byHand, number) },
+          { text: text("patient_go"), name: text("patient_go_to", { what: words }), press: () => this.goToSlice(outline.through_mm) },
+          { text: text("patient_remove"), name: text("patient_remove_what", { what: words }), press: removed("outlines", byHand, number) },
         ]);
       }),
     );
@@ -211,22 +212,22 @@ export class OrganSection {
     const organs = this.host.state()?.organs ?? [];
     part("by-label").hidden = !this.choosesByLabel();
     part("by-points").hidden = this.choosesByLabel();
-    part("find").textContent = this.choosesByLabel() ? "Take this label" : "Find the organ";
+    part("find").textContent = this.choosesByLabel() ? text("patient_take_label") : text("patient_find");
     part("organs").replaceChildren(
       ...organs.map(({ name, volume_ml }) =>
         item(`${name}: ${volume_ml.toFixed(1)} ml`, [
-          { text: "change", name: `change ${name}`, press: () => this.lookFor(name) },
-          { text: "remove", name: `remove ${name}`, press: () => void this.host.step("remove", { name }) },
+          { text: text("patient_change"), name: text("patient_change_what", { what: name }), press: () => this.lookFor(name) },
+          { text: text("patient_remove"), name: text("patient_remove_what", { what: name }), press: () => void this.host.step("remove", { name }) },
         ]),
       ),
     );
     part("another").hidden = organs.length === 0;
     const organ = organs.find(({ name }) => name === this.name());
     const words: string[] = organ === undefined ? [] : [`${organ.volume_ml.toFixed(1)} ml`];
-    if (organ !== undefined && organ.cut_off_at.length > 0) words.push(`cut off at the border of the image: ${organ.cut_off_at.join(", ")}`);
+    if (organ !== undefined && organ.cut_off_at.length > 0) words.push(text("patient_cut_off", { where: organ.cut_off_at.join(", ") }));
     if (organ !== undefined && organ.not_at_rest_mm.length > 0) {
       const axis = normalAxis(this.planeOfSlices());
-      words.push(`contours did not come to rest at ${organ.not_at_rest_mm.map((p) => p[axis]!.toFixed(1)).join(", ")} mm: look at them`);
+      words.push(text("patient_not_at_rest", { where: organ.not_at_rest_mm.map((p) => p[axis]!.toFixed(1)).join(", ") }));
     }
     part("organ-found").textContent = words.join("; ");
     void this.showFound(organ?.n_outlines ?? 0);

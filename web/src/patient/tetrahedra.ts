@@ -1,5 +1,6 @@
 /** The tetrahedra: what came out, turned by mouse or arrows, cut open, coloured by organ or by quality; and the organs' tissues. */
 import { facts, item, named, options, part } from "./dom";
+import { text } from "../language";
 import { Loader } from "./loader";
 import { pictureAddress, type MeshLook, type MeshSummary, type PatientState } from "./state";
 
@@ -66,13 +67,13 @@ export class TetrahedraSection {
       facts(part("mesh-found"), []);
       return;
     }
-    part("picture-caption").textContent = `${mesh.tetrahedra} tetrahedra`;
+    part("picture-caption").textContent = text("patient_n_tetrahedra", { n: mesh.tetrahedra });
     showFacts(mesh);
     showTissues(mesh, offers.tissues);
     const steps = offers.quality.map(({ from_deg, colour }, at) => {
       const next = offers.quality[at + 1]?.from_deg;
-      const range = next === undefined ? `from ${from_deg}` : `${from_deg} to ${next}`;
-      const node = item(`${range} degrees: ${mesh.n_of_quality[at] ?? 0}`, []);
+      const range = next === undefined ? text("patient_from", { from: from_deg }) : text("patient_from_to", { from: from_deg, to: next });
+      const node = item(text("patient_degrees", { range, n: mesh.n_of_quality[at] ?? 0 }), []);
       node.style.setProperty("--colour", `rgb(${colour.join(" ")})`);
       return node;
     });
@@ -89,17 +90,17 @@ export class TetrahedraSection {
 function showFacts(mesh: MeshSummary): void {
   const volumes = mesh.organs.map(({ name, tetrahedra, volume_ml, volume_error }): readonly [string, string] => {
     const isThin = Math.abs(volume_error) > WELL_MET;
-    const size = `${volume_ml.toFixed(1)} ml, ${(100 * volume_error).toFixed(2)} % off the voxels${isThin ? ": too thin for so few tetrahedra, take more" : ""}`;
-    return [name, mesh.organs.length > 1 ? `${tetrahedra} tetrahedra, ${size}` : size];
+    const size = text("patient_size", { volume: volume_ml.toFixed(1), percent: (100 * volume_error).toFixed(2), note: isThin ? text("patient_too_thin") : "" });
+    return [name, mesh.organs.length > 1 ? text("patient_size_of", { n: tetrahedra, size }) : size];
   });
-  const crumbs: (readonly [string, string])[] = mesh.crumbs > 0 ? [["left out", `${mesh.crumbs} loose pieces of thin places`]] : [];
+  const crumbs: (readonly [string, string])[] = mesh.crumbs > 0 ? [[text("patient_left_out"), text("patient_crumbs", { n: mesh.crumbs })]] : [];
   facts(part("mesh-found"), [
-    ["tetrahedra", `${mesh.tetrahedra}, ${mesh.nodes} nodes`],
+    [text("patient_row_tetrahedra"), text("patient_nodes", { tetrahedra: mesh.tetrahedra, nodes: mesh.nodes })],
     ...volumes,
-    ["bodies", mesh.bodies === 1 ? "1" : `${mesh.bodies}: organs that do not touch move freely`],
-    ["dihedral angles", `${mesh.dihedral_deg[0].toFixed(1)} to ${mesh.dihedral_deg[1].toFixed(1)} degrees`],
-    ["mean edge", `${mesh.mean_edge_mm.toFixed(1)} mm`],
-    ["thin places", String(mesh.thin_places)],
+    [text("patient_bodies"), mesh.bodies === 1 ? "1" : text("patient_free", { n: mesh.bodies })],
+    [text("patient_angles"), text("patient_angles_are", { from: mesh.dihedral_deg[0].toFixed(1), to: mesh.dihedral_deg[1].toFixed(1) })],
+    [text("patient_edge"), `${mesh.mean_edge_mm.toFixed(1)} mm`],
+    [text("patient_thin"), String(mesh.thin_places)],
     ...crumbs,
   ]);
 }
@@ -115,7 +116,7 @@ function showTissues(mesh: MeshSummary, tissues: readonly string[]): void {
       label.dataset["organ"] = name;
       const own = name.toLowerCase().replaceAll(" ", "_");
       options(select, named(tissues), tissues.includes(own) ? own : "liver");
-      label.append(`Tissue of ${name} `, select);
+      label.append(`${text("patient_tissue_of", { organ: name })} `, select);
       return label;
     }),
   );

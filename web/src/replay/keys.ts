@@ -1,6 +1,8 @@
 /** Which key of the player does what: one table for the keyboard, the buttons and the help page. */
 import { button, type ButtonGroups } from "../button_bar";
-import { bind, BINDINGS, plain, type Action, type Binding } from "../keys";
+import { bind, BINDINGS, plain, type Action, type Binding, type Chord } from "../keys";
+import { keysIn, LANGUAGE, text } from "../language";
+import type { TextKey } from "../texts_en";
 
 export type PlayerAction =
   | "play" | "frame_back" | "frame_on" | "second_back" | "second_on" | "begin" | "end" | "slower" | "faster" | "moment_back" | "moment_on"
@@ -15,48 +17,53 @@ function asInViewer(...actions: Array<Action & PlayerAction>): Array<Binding<Pla
   return actions.flatMap((action) => BINDINGS.filter((binding) => binding.action === action).map((binding) => ({ ...binding, action })));
 }
 
+/** One of the player, in the page's language. */
+function own(group: "recording" | "view" | "instrument" | "page", action: PlayerAction, keys: string, chords: readonly Chord[], repeats = false): Binding<PlayerAction> {
+  return bind(text(`group_${group}`), action, keysIn(LANGUAGE, keys), text(`replay_key_${action}` as TextKey), chords, repeats);
+}
+
 export const PLAYER_BINDINGS: ReadonlyArray<Binding<PlayerAction>> = [
-  bind("Recording", "play", "Space", "play or pause", plain(" ")),
-  bind("Recording", "frame_back", "← or ,", "one frame back", plain("arrowleft", ","), true),
-  bind("Recording", "frame_on", "→ or .", "one frame on", plain("arrowright", "."), true),
-  bind("Recording", "second_back", "Shift ← or Page Up", "one second back", [{ key: "arrowleft", shift: true }, ...plain("pageup")], true),
-  bind("Recording", "second_on", "Shift → or Page Down", "one second on", [{ key: "arrowright", shift: true }, ...plain("pagedown")], true),
-  bind("Recording", "begin", "Home", "to the beginning", plain("home")),
-  bind("Recording", "end", "End", "to the end", plain("end")),
-  bind("Recording", "slower", "<", "slower, down to a tenth of real time", typed("<")),
-  bind("Recording", "faster", ">", "faster, up to eight times real time", typed(">")),
-  bind("Recording", "moment_back", "[", "to the moment before", plain("[")),
-  bind("Recording", "moment_on", "]", "to the next moment that went wrong", plain("]")),
+  own("recording", "play", "Space", plain(" ")),
+  own("recording", "frame_back", "← or ,", plain("arrowleft", ","), true),
+  own("recording", "frame_on", "→ or .", plain("arrowright", "."), true),
+  own("recording", "second_back", "Shift ← or Page Up", [{ key: "arrowleft", shift: true }, ...plain("pageup")], true),
+  own("recording", "second_on", "Shift → or Page Down", [{ key: "arrowright", shift: true }, ...plain("pagedown")], true),
+  own("recording", "begin", "Home", plain("home")),
+  own("recording", "end", "End", plain("end")),
+  own("recording", "slower", "<", typed("<")),
+  own("recording", "faster", ">", typed(">")),
+  own("recording", "moment_back", "[", plain("[")),
+  own("recording", "moment_on", "]", plain("]")),
   ...asInViewer("reset_view"),
-  bind("View", "turn_left", "J", "turn the view to the left", plain("j"), true),
-  bind("View", "turn_right", "L", "to the right", plain("l"), true),
-  bind("View", "turn_up", "I", "upwards", plain("i"), true),
-  bind("View", "turn_down", "K", "downwards", plain("k"), true),
-  bind("View", "nearer", "U", "nearer", plain("u"), true),
-  bind("View", "further", "O", "further away", plain("o"), true),
+  own("view", "turn_left", "J", plain("j"), true),
+  own("view", "turn_right", "L", plain("l"), true),
+  own("view", "turn_up", "I", plain("i"), true),
+  own("view", "turn_down", "K", plain("k"), true),
+  own("view", "nearer", "U", plain("u"), true),
+  own("view", "further", "O", plain("o"), true),
   ...asInViewer("wireframe", "forces", "fixed_nodes", "bodies", "theatre", "wipe", "outside"),
-  bind("Instrument", "tool_1", "1", "force of the first instrument (of several)", plain("1")),
-  bind("Instrument", "tool_2", "2", "of the second", plain("2")),
-  bind("Instrument", "tool_3", "3", "of the third", plain("3")),
-  bind("Instrument", "tool_4", "4", "of the fourth", plain("4")),
-  bind("Page", "screenshot", "S", "save the picture as PNG", plain("s")),
-  bind("Page", "help", "H or F1", "this page", plain("h", "f1", "?")),
-  bind("Page", "leave", "Esc or Q", "close this page", plain("escape", "q")),
+  own("instrument", "tool_1", "1", plain("1")),
+  own("instrument", "tool_2", "2", plain("2")),
+  own("instrument", "tool_3", "3", plain("3")),
+  own("instrument", "tool_4", "4", plain("4")),
+  own("page", "screenshot", "S", plain("s")),
+  own("page", "help", "H or F1", plain("h", "f1", "?")),
+  own("page", "leave", "Esc or Q", plain("escape", "q")),
 ];
 
 export const PLAYER_MOUSE: ReadonlyArray<readonly [string, string]> = [
-  ["Left drag", "turn the view"],
-  ["Shift + left, or middle", "move the view"],
-  ["Wheel", "zoom"],
-  ["The curve below", "to that time"],
+  [text("replay_mouse_turn"), text("mouse_turn_does_alone")],
+  [text("mouse_move"), text("mouse_move_does")],
+  [text("mouse_zoom"), text("mouse_zoom_does")],
+  [text("replay_mouse_curve"), text("replay_mouse_curve_does")],
 ];
 
 export const PLAYER_BUTTONS: ButtonGroups<PlayerAction> = [
-  [button("frame_back", "− Frame", "←"), button("play", "Play", "␣"), button("frame_on", "+ Frame", "→")],
-  [button("slower", "Slower", "<"), button("faster", "Faster", ">")],
-  [button("moment_back", "− Moment", "["), button("moment_on", "+ Moment", "]")],
+  [button("frame_back", text("replay_button_frame_back"), "←"), button("play", text("replay_button_play"), "␣"), button("frame_on", text("replay_button_frame_on"), "→")],
+  [button("slower", text("replay_button_slower"), "<"), button("faster", text("replay_button_faster"), ">")],
+  [button("moment_back", text("replay_button_moment_back"), "["), button("moment_on", text("replay_button_moment_on"), "]")],
   [button("tool_1", "1", "1"), button("tool_2", "2", "2"), button("tool_3", "3", "3"), button("tool_4", "4", "4")],
-  [button("reset_view", "View", "R"), button("wireframe", "Edges", "W"), button("fixed_nodes", "Fixed", "T"), button("forces", "Force", "F")],
-  [button("theatre", "Endoscope", "N"), button("wipe", "Wipe lens", "D"), button("outside", "Outside", "⇧N")],
-  [button("screenshot", "Picture", "S"), button("help", "Help", "H")],
+  [button("reset_view", text("button_reset_view"), "R"), button("wireframe", text("button_wireframe"), "W"), button("fixed_nodes", text("button_fixed_nodes"), "T"), button("forces", text("button_forces"), "F")],
+  [button("theatre", text("button_theatre"), "N"), button("wipe", text("button_wipe"), "D"), button("outside", text("button_outside"), "⇧N")],
+  [button("screenshot", text("button_screenshot"), "S"), button("help", text("button_help"), "H")],
 ];

@@ -2,6 +2,7 @@
 import "../style.css";
 import "../lists.css";
 import "./replay.css";
+import { text, translatePage } from "../language";
 import { findReplayPage, recordingInPage } from "./page";
 import { Player, type PlayerReport } from "./player";
 import { Recording } from "./recording";
@@ -14,9 +15,10 @@ declare global {
 }
 
 async function start(): Promise<void> {
+  translatePage();
   const page = findReplayPage();
   const bytes = recordingInPage();
-  if (bytes === null) throw new Error("no recording is in this page; `glisson export SESSION --html FILE` makes a page with one");
+  if (bytes === null) throw new Error(text("replay_no_recording"));
   const player = new Player(page, await Recording.read(bytes));
   Object.defineProperty(window, "glissonReplay", { get: () => player.report() });
 }
@@ -26,5 +28,5 @@ start().catch((error: unknown) => {
   const banner = document.getElementById("banner");
   if (banner === null) return;
   banner.hidden = false;
-  banner.textContent = `The player cannot start: ${error instanceof Error ? error.message : String(error)}`;
+  banner.textContent = text("replay_cannot_start", { reason: error instanceof Error ? error.message : String(error) });
 });

@@ -1,4 +1,5 @@
 /** The list of a task's stages and of the moments that went wrong: each is a button that jumps there. */
+import { text } from "../language";
 import { clockText } from "../task";
 import { endingText, type Story } from "./story";
 
@@ -8,10 +9,10 @@ interface Entry {
   readonly button: HTMLButtonElement;
 }
 
-function element(name: string, className: string, text = ""): HTMLElement {
+function element(name: string, className: string, words = ""): HTMLElement {
   const node = document.createElement(name);
   node.className = className;
-  node.textContent = text;
+  node.textContent = words;
   return node;
 }
 
@@ -21,7 +22,7 @@ export class MomentList {
   constructor(root: HTMLElement, story: Story | null, jump: (time_s: number, tool: number | null) => void) {
     root.hidden = story === null;
     if (story === null) return;
-    root.setAttribute("aria-label", `Task: ${story.title}`);
+    root.setAttribute("aria-label", text("replay_task", { title: story.title }));
     const ending = element("p", "story-ending", endingText(story));
     ending.dataset.passed = String(story.isPassed);
     root.append(element("h2", "", story.title), ending);
@@ -50,8 +51,8 @@ export class MomentList {
       root.append(node);
     };
     const { stages, moments } = story;
-    list("Stages", "stages", stages.map(({ began_s, ended_s, title }) => entry(began_s, ended_s, title, `${(ended_s - began_s).toFixed(1)} s`, null)), "none was done");
-    list("Went wrong", "moments", moments.map(({ from_s, to_s, title, detail, tool }) => entry(from_s, to_s, title, detail, tool)), "nothing");
+    list(text("replay_stages"), "stages", stages.map(({ began_s, ended_s, title }) => entry(began_s, ended_s, title, `${(ended_s - began_s).toFixed(1)} s`, null)), text("replay_none_done"));
+    list(text("replay_wrong"), "moments", moments.map(({ from_s, to_s, title, detail, tool }) => entry(from_s, to_s, title, detail, tool)), text("replay_nothing"));
   }
 
   /** Marks what is going on. */

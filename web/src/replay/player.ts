@@ -8,7 +8,9 @@ import { drawOrientation } from "../orientation";
 import { SURFACE_STYLES } from "../organ";
 import { Help, helpOf, Messages, savePicture } from "../overlays";
 import { Panel, panelValues } from "../panel";
-import { arrowScale_m_per_n, drawPlot, ForceHistory, PLOT_SPAN_S } from "../plot";
+import { drawChart, forceChart } from "../charts";
+import { text } from "../language";
+import { arrowScale_m_per_n, ForceHistory, PLOT_SPAN_S } from "../plot";
 import { headerOfHand, type HandHeader, type Hello, type SnapshotHeader, type Topology } from "../protocol";
 import { Resolution } from "../resolution";
 import { Scene3d } from "../scene3d";
@@ -77,7 +79,7 @@ export class Player {
     this.messages = new Messages(page.messages);
     this.scene = new Scene3d(page.scene);
     this.panel = new Panel(page.panel, false);
-    this.help = new Help(document.body, [["Mouse", PLAYER_MOUSE], ...helpOf(PLAYER_BINDINGS)]);
+    this.help = new Help(document.body, [[text("group_mouse"), PLAYER_MOUSE], ...helpOf(PLAYER_BINDINGS)]);
     this.bodies = new BodyList(page.bodies, (hidden) => { this.scene.hide(hidden); this.redraw(); });
     this.bar = new ButtonBar(page.toolbar, PLAYER_BUTTONS, PLAYER_BINDINGS, (action) => this.run(action));
     this.theatre = new Theatre(this.scene, { ...page, toolbar: page.transport });
@@ -97,9 +99,9 @@ export class Player {
     });
     window.addEventListener("keydown", (event) => this.key(event));
     window.addEventListener("hashchange", () => this.jumpToAddress());
-    window.addEventListener("error", (event) => this.messages.error(`Error in the page: ${event.message}`));
-    window.addEventListener("unhandledrejection", (event) => this.messages.error(`Error in the page: ${event.reason}`));
-    page.scene.addEventListener("webglcontextlost", () => this.messages.error("The graphics were lost; reload the page."));
+    window.addEventListener("error", (event) => this.messages.error(text("page_error", { message: event.message })));
+    window.addEventListener("unhandledrejection", (event) => this.messages.error(text("page_error", { message: String(event.reason) })));
+    page.scene.addEventListener("webglcontextlost", () => this.messages.error(text("graphics_lost")));
     this.begin(this.hello);
     const sizes = new ResizeObserver(() => this.resize());
     for (const part of [page.scene, page.transport, page.story]) sizes.observe(part);
@@ -120,7 +122,7 @@ export class Player {
     for (const action of ["moment_back", "moment_on"] as const) this.bar.offer(action, hasMoments);
     this.theatre.begin(hello, chosen);
     this.choose(Math.min(chosen, hello.tools.length - 1));
-    document.title = `${hello.scene.name} – Glisson, recorded`;
+    document.title = text("replay_title", { scene: hello.scene.name });
   }
 
   private choose(tool: number): void {
@@ -228,7 +230,7 @@ export class Player {
         break;
       case "bodies": this.bodies.hideNext(); break;
       case "theatre":
-        if (this.theatre.endoscope === null) this.messages.notice("This recording has no endoscope.");
+        if (this.theatre.endoscope === null) this.messages.notice(text("replay_no_endoscope"));
         else this.theatre.turn(!this.theatre.on);
         break;
       case "wipe": this.theatre.smear = 0; break;
@@ -316,13 +318,13 @@ export class Player {
       if (time_s >= recording.times_s[frame] - PLOT_SPAN_S) this.history.add({ time_s, force_n });
     }
     const values = panelValues(this.hello, header, peak_n, arrowScale_m_per_n(Math.max(...this.largest_n)), chosen);
-    const state = playback.playing ? (playback.speed === 1 ? "playing" : `playing, ${playback.speed} ×`) : "paused";
+    const state = playback.playing ? (playback.speed === 1 ? text("replay_state_playing") : text("replay_state_playing_at", { speed: playback.speed })) : text("value_paused");
     this.panel.show({ ...values, state }, header);
-    drawPlot(this.panel.plot, this.history);
+    drawChart(this.panel.plot, forceChart(this.history));
     this.timeline.show(frame, playback.time_s, playback.speed);
     this.list.show(playback.time_s);
     const { bar, shown, theatre } = this;
-    bar.set("play", playback.playing, playback.playing ? "Pause" : "Play");
+    bar.set("play", playback.playing, text(playback.playing ? "button_pause" : "replay_button_play"));
     bar.set("wireframe", shown.style !== 0);
     bar.set("forces", shown.forces);
     bar.set("fixed_nodes", shown.fixedNodes);

@@ -1,5 +1,6 @@
 /** What a recording says of its task: stages, what went wrong, and how it ended. */
 import { fieldsOf, fail, numberAt, stringAt, type Fields } from "../fields";
+import { text } from "../language";
 import type { TaskOutcome } from "../task";
 
 export interface Stage {
@@ -68,7 +69,7 @@ export function decodeStory(value: unknown): Story | null {
 
 /** How the task ended, in words. */
 export function endingText({ outcome, isPassed, stages, nStages }: Story): string {
-  const share = `${stages.length} of ${nStages} stages`;
-  if (outcome === "done") return `${share}: ${isPassed ? "passed" : "beyond the safety gate"}`;
-  return outcome === "time_over" ? `${share}, then the time was over` : `${share}; not finished`;
+  const share = text("replay_share", { n: stages.length, m: nStages });
+  if (outcome === "done") return text(isPassed ? "replay_passed" : "replay_gate", { share });
+  return text(outcome === "time_over" ? "replay_time_over" : "replay_not_finished", { share });
 }

@@ -1,5 +1,6 @@
 /** The bar below the picture: force over the whole recording, stages, moments that went wrong, and the place that is shown. */
 import { forceText } from "../panel";
+import { text } from "../language";
 import { drawCurve, fitted, niceCeiling } from "../plot";
 import { clockText } from "../task";
 import type { Recording } from "./recording";
@@ -46,15 +47,15 @@ export class Timeline {
     const words = document.createElement("div");
     words.className = "timeline-words";
     this.time.className = "timeline-time";
-    this.time.setAttribute("aria-label", "Time");
-    this.speed.setAttribute("aria-label", "Speed");
+    this.time.setAttribute("aria-label", text("replay_time"));
+    this.speed.setAttribute("aria-label", text("replay_speed"));
     this.about.className = "timeline-about";
     words.append(this.time, this.speed, this.about);
     const track = document.createElement("div");
     track.className = "timeline-track";
     this.curve.setAttribute("role", "img");
     Object.assign(this.slider, { type: "range", min: "0", max: String(recording.nFrames - 1), step: "1", value: "0" });
-    this.slider.setAttribute("aria-label", "Place in the recording");
+    this.slider.setAttribute("aria-label", text("replay_place"));
     this.slider.addEventListener("input", () => this.toFrame(Number(this.slider.value)));
     track.append(this.curve, this.slider);
     root.append(words, track);
@@ -63,18 +64,18 @@ export class Timeline {
   choose(tool: number, name: string): void {
     this.tool = tool;
     const largest_n = this.recording.forces_n.reduce((max, forces) => Math.max(max, forces[tool] ?? 0), 0);
-    this.about.textContent = `force on the ${name}, at most ${forceText(largest_n)}`;
-    this.curve.setAttribute("aria-label", `Force over time: ${this.about.textContent}`);
+    this.about.textContent = text("replay_force_on", { name, force: forceText(largest_n) });
+    this.curve.setAttribute("aria-label", text("replay_curve", { about: this.about.textContent ?? "" }));
   }
 
   show(frame: number, time_s: number, speed: number): void {
     const { begin_s, end_s } = this.recording;
-    const text = `${timeText(time_s)} / ${timeText(end_s)}`;
-    if (this.time.textContent !== text) this.time.textContent = text;
+    const words = `${timeText(time_s)} / ${timeText(end_s)}`;
+    if (this.time.textContent !== words) this.time.textContent = words;
     const speedText = `${speed} ×`;
     if (this.speed.textContent !== speedText) this.speed.textContent = speedText;
     if (this.slider.value !== String(frame)) this.slider.value = String(frame);
-    this.slider.setAttribute("aria-valuetext", `${time_s.toFixed(2)} s of ${begin_s.toFixed(2)} to ${end_s.toFixed(2)} s`);
+    this.slider.setAttribute("aria-valuetext", text("replay_time_of", { time: time_s.toFixed(2), from: begin_s.toFixed(2), to: end_s.toFixed(2) }));
     this.draw(frame / Math.max(1, this.recording.nFrames - 1));
   }
 

@@ -1,18 +1,13 @@
 //! `glisson serve`.
 
+use super::held::DeviceArgs;
 use anyhow::bail;
-use glisson::haptics::InsertedInstrument;
-use glisson::tool::Tool;
 use glisson_net::link::Role;
 use glisson_net::options::NetArgs;
-use glisson_runtime::devices::trocar_choice::stand;
-use glisson_runtime::devices::{self, Assignment, tools_of};
-use glisson_runtime::force_choices::ForceArgs;
-use glisson_runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink, check_rate, join};
+use glisson_runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink};
 use glisson_runtime::published::Lateness;
-use glisson_runtime::realtime::{CoreKept, OwnCore, make_punctual};
+use glisson_runtime::realtime::{CoreKept, OwnCore};
 use glisson_runtime::remote_figures::RemoteFigures;
-use glisson_runtime::workers::allowed_cores;
 use glisson_runtime::{OpenScene, Simulation};
 use glisson_view::patient::{self, PatientPage};
 use glisson_view::server::access::Access;
@@ -36,19 +31,8 @@ pub(crate) struct Args {
     /// Record the session to this file
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// Put an instrument into the hand at a device: NAME, or NAME@TOOL with TOOL from 0; may be given several times. `glisson
-    /// devices list` tells the names
-    #[arg(long = "device", value_name = "NAME[@TOOL]")]
-    devices: Vec<Assignment>,
-    /// Ticks a second of the haptic loop [Hz]: 100 to 4000
-    #[arg(long, value_name = "HZ", default_value_t = 1000.0)]
-    haptic_rate: f64,
-    /// Core that the haptic loop stays on, and the program's other threads do not use; the last one that it may use when left
-    /// out
-    #[arg(long, value_name = "N")]
-    haptic_core: Option<usize>,
     #[command(flatten)]
-    forces: ForceArgs,
+    devices: DeviceArgs,
     /// Threads of the explicit model; the results do not depend on it
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
     threads: u8,
@@ -205,74 +189,32 @@ pub(super) fn serve_until(
     Ok(())
 }
 
-impl Args {
-    /// The instruments that devices hold; tells which, and how their loop will run on `core`.
-    fn held(&self, instruments: &[Tool], core: OwnCore) -> anyhow::Result<Vec<(HeldTool, ToolLink)>> {
-        let mut held = Vec::new();
-        check_rate(self.haptic_rate)?;
-        let tools = tools_of(&self.devices, instruments.len())?;
-        let named: Vec<_> = self.devices.iter().map(|assignment| &assignment.name).zip(tools).collect();
-        let stands = stand(&named, instruments)?;
-        for ((name, tool), stands) in named.into_iter().zip(stands) {
-            let home = instruments[tool].home;
-            let kind = Some(instruments[tool].kind.name());
-            let device = devices::open_standing(name, &home, kind, stands, self.haptic_rate)?;
-            println!("instrument {tool} ({}) is in the hand of: {}", instruments[tool].name, device.name);
-            if let Some(InsertedInstrument { name, serial }) = device.device.inserted() {
-                println!("  the instrument in it: {name}, number {serial}");
-            }
-            held.push(join(device, tool, home));
-        }
-        if !held.is_empty() {
-            println!("forces {} times a second: {}", self.haptic_rate, self.forces.choices()?.text());
-            // A thread that asks for what the loop will ask for: the user hears of it now, not in the report at the end.
-            if let Ok(scheduling) = std::thread::spawn(move || make_punctual(core)).join() {
-                println!("the loop of the devices: {}", scheduling.text);
-            }
-        }
-        Ok(held)
-    }
-
-    /// Threads of the simulation: no more than cores that are left beside the loop's, where each waits for the others. Tells
-    /// when these are fewer than asked for.
-    fn n_threads(&self, core: OwnCore) -> usize {
-        let asked = usize::from(self.threads);
-        let n_left = allowed_cores().len();
-        if !matches!(core, OwnCore::Kept(_)) || asked <= n_left {
-            return asked;
-        }
-        println!(
-            "--threads {asked}: beside the core of the devices' loop there are {n_left}, so as many are used"
-        );
-        n_left
-    }
-}
-
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     // Before anything else is started. Without devices nobody needs a core.
-    let kept = (!args.devices.is_empty()).then(|| CoreKept::keep(args.haptic_core));
+    let kept = args.devices.keep_core();
     let core = kept.as_ref().map_or(OwnCore::Last, CoreKept::core);
-    let haptics = HapticSettings { rate_hz: args.haptic_rate, core, forces: args.forces.choices()? };
+    let haptics = args.devices.settings(core)?;
     let link = args.network.link()?;
     if let Some(link) = link.as_ref().filter(|link| link.role == Role::Haptics) {
         if args.record.is_some() || args.network.has_shows() {
             bail!("--record, --igtl and --ros2 belong to the machine with --role simulation");
         }
-        if args.devices.iter().any(|device| device.name.is("viewer")) {
+        if args.devices.devices.iter().any(|device| device.name.is("viewer")) {
             bail!("--device viewer with --role haptics: the page is at the machine with --role simulation");
         }
         let source = OpenScene::read(&args.scene)?;
-        let held = args.held(&source.scene.world.tools, core)?;
+        let held = args.devices.held(&source.scene.world.tools, core)?;
         return link.run_haptics(&source, held, haptics, stop_signal());
     }
-    if link.is_some() && !args.devices.is_empty() {
+    if link.is_some() && !args.devices.devices.is_empty() {
         bail!("--device with --role simulation: the devices are at the machine with --role haptics");
     }
     let listener = args.address.bind()?;
-    let source = OpenScene { n_threads: args.n_threads(core), ..OpenScene::read(&args.scene)? };
+    let source =
+        OpenScene { n_threads: args.devices.n_threads(args.threads, core), ..OpenScene::read(&args.scene)? };
     let scene_text = source.scene.text.clone();
     let simulation = Simulation::open(source, args.record.as_deref())?;
-    let held = args.held(simulation.world().tools(), core)?;
+    let held = args.devices.held(simulation.world().tools(), core)?;
     let in_hands: Vec<usize> = held.iter().map(|(_, link)| link.tool).collect();
     let mut network = Network { shows: args.network.shows(&simulation, &in_hands)?, ..Network::default() };
     let mut conversation = None;

@@ -1,10 +1,13 @@
 //! `glisson start`.
 
+use super::held::DeviceArgs;
 use super::patient::free_folder;
 use super::serve::{Address, serve_until};
 use super::task;
+use super::task_keeping::{Keeper, KeepingArgs};
 use anyhow::Context;
 use glisson::progress::tell;
+use glisson_runtime::realtime::{CoreKept, OwnCore};
 use glisson_runtime::script::PathScript;
 use glisson_runtime::{OpenScene, Simulation};
 use glisson_view::patient::{self, PatientPage};
@@ -13,6 +16,7 @@ use glisson_view::server::{Service, stop_signal};
 use glisson_view::start::{self, Choice, Chosen, StartPage};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
 
 /// Where scenes are looked for when nothing else is said.
@@ -25,6 +29,8 @@ const USUAL_FOLDERS: [&str; 2] = [".", "out"];
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  glisson start\n  glisson start --scenes my_scenes --out out/sessions\n  \
+    glisson start --person Ada --group experts    results of tasks are stored and compared\n  \
+    glisson start --device haply --device viewer@1\n  \
     glisson start --port 0 --host 0.0.0.0     for other machines, with a token that is printed\n\nStop with Ctrl-C; a recording is then completed."
 )]
 pub(crate) struct Args {
@@ -38,6 +44,10 @@ pub(crate) struct Args {
     /// Threads of models that can use several; the results do not depend on it
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
     threads: u8,
+    #[command(flatten)]
+    devices: DeviceArgs,
+    #[command(flatten)]
+    keeping: KeepingArgs,
     #[command(flatten)]
     address: Address,
 }
@@ -72,6 +82,9 @@ impl Stop {
 struct Opener {
     out: PathBuf,
     n_threads: usize,
+    keeping: KeepingArgs,
+    /// Who stores the results of the task that was opened last, if they are stored.
+    keeper: Arc<Mutex<Option<Arc<Keeper>>>>,
 }
 
 impl Opener {
@@ -105,10 +118,17 @@ impl Opener {
             .with_context(|| format!("{}: cannot make the folder for sessions", self.out.display()))?;
         let (session, folder) = (free_session(&self.out, name), source.folder.clone());
         let mut unwanted = Unwanted(Some(session.with_extension("jsonl.partial")));
+        let keeper = match &source.scene.task {
+            Some(_) => {
+                self.keeping.keeper(&self.keeping.attempt(name, &source.scene, &session)?, &self.out)?
+            }
+            None => None,
+        };
         let simulation = Simulation::open(source, Some(&session))?;
         // Where it was cancelled meanwhile, this does not come back.
         tell(1.0);
         unwanted.0 = None;
+        *self.keeper.lock().unwrap_or_else(PoisonError::into_inner) = keeper;
         println!("session: glisson replay {} --folder {}", session.display(), folder.display());
         Ok(simulation)
     }
@@ -151,8 +171,9 @@ impl Args {
         Ok(if self.scenes.is_empty() { usual() } else { self.scenes.clone() })
     }
 
-    fn opener(&self) -> Opener {
-        Opener { out: self.out.clone(), n_threads: usize::from(self.threads) }
+    fn opener(&self, turn: &Turn<'_>) -> Opener {
+        let keeper = Arc::clone(&turn.keeper);
+        Opener { out: self.out.clone(), n_threads: turn.n_threads, keeping: self.keeping.clone(), keeper }
     }
 
     /// The page, and what is started from it; none when the program is to end.
@@ -162,7 +183,7 @@ impl Args {
         folders: &[PathBuf],
         error: Option<String>,
     ) -> anyhow::Result<Option<Chosen>> {
-        let opener = self.opener();
+        let opener = self.opener(turn);
         let page =
             StartPage { folders: folders.to_vec(), open: Box::new(move |choice| opener.open(choice)), error };
         start::serve(turn.listener.try_clone()?, turn.access.clone(), page, turn.stop.comes())
@@ -170,7 +191,7 @@ impl Args {
 
     /// A new patient, and the simulation that comes of it.
     fn bring_in(&self, turn: &Turn<'_>) -> anyhow::Result<()> {
-        let opener = self.opener();
+        let opener = self.opener(turn);
         let page = PatientPage {
             folder: free_folder(),
             image: None,
@@ -190,21 +211,48 @@ struct Turn<'a> {
     listener: &'a TcpListener,
     access: &'a Access,
     stop: &'a Stop,
+    devices: &'a DeviceArgs,
+    core: OwnCore,
+    n_threads: usize,
+    /// Who stores the results of what was opened last.
+    keeper: Arc<Mutex<Option<Arc<Keeper>>>>,
 }
 
 impl Turn<'_> {
     fn simulate(&self, simulation: Simulation) -> anyhow::Result<()> {
-        let service = Service { may_leave: true, ..Service::to(self.access.clone()) };
-        serve_until(simulation, self.listener.try_clone()?, service, self.stop.comes())
+        let keeper = self.keeper.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let service = Service {
+            may_leave: true,
+            held: self.devices.held(simulation.world().tools(), self.core)?,
+            haptics: self.devices.settings(self.core)?,
+            shows: keeper.iter().map(Keeper::watching).collect(),
+            compare: keeper.as_ref().map(Keeper::comparing),
+            ..Service::to(self.access.clone())
+        };
+        serve_until(simulation, self.listener.try_clone()?, service, self.stop.comes())?;
+        keeper.map_or(Ok(()), |keeper| keeper.finish())
     }
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    // Before anything else is started.
+    let kept = args.devices.keep_core();
+    let core = kept.as_ref().map_or(OwnCore::Last, CoreKept::core);
+    args.devices.settings(core)?;
+    args.keeping.check()?;
     let folders = args.folders()?;
     let listener = args.address.bind()?;
     let stop = Stop::listen()?;
     let access = args.address.tell(&listener)?;
-    let turn = Turn { listener: &listener, access: &access, stop: &stop };
+    let turn = Turn {
+        listener: &listener,
+        access: &access,
+        stop: &stop,
+        devices: &args.devices,
+        core,
+        n_threads: args.devices.n_threads(args.threads, core),
+        keeper: Arc::default(),
+    };
     let mut error = None;
     while let Some(chosen) = args.choose(&turn, &folders, error.take())? {
         let ended = match chosen {

@@ -243,6 +243,7 @@ fn do_task(args: &Run) -> anyhow::Result<()> {
     let (files, scene_folder) = (args.files(), source.folder.clone());
     let session = files.with(".jsonl");
     let attempt = args.keeping.attempt(&args.name(), &source.scene, &session)?;
+    args.keeping.check()?;
     let keeper = args.keeping.keeper(&attempt, &args.out)?;
     let mut simulation = Simulation::open(source, Some(&session))?;
     if let Some(script) = script {

@@ -4,6 +4,7 @@ use super::results::Database;
 use crate::text_file::write_text;
 use anyhow::{Context, bail};
 use glisson::scene::Scene;
+use glisson::text::did_you_mean;
 use glisson::training::task::{TaskRecord, TaskResult};
 use glisson_results::attempt::scene_hash;
 use glisson_results::name::checked_name;
@@ -16,7 +17,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Whose results are stored, where, and what they are compared with.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(super) struct KeepingArgs {
     /// Store the result as this person's: a name or a pseudonym. Without, nothing is stored
     #[arg(long, value_name = "NAME")]
@@ -54,20 +55,48 @@ impl KeepingArgs {
         })
     }
 
-    /// Opens the database before the work: what is wrong with it is better known then. None without a person.
-    pub(super) fn keeper(&self, attempt: &Attempt, folder: &Path) -> anyhow::Result<Option<Arc<Keeper>>> {
-        if self.person.is_none() {
-            return Ok(None);
+    /// Whether results could be stored; says who is new.
+    ///
+    /// # Errors
+    /// A name that is none, a database that cannot be written, a group that is not there.
+    pub(super) fn check(&self) -> anyhow::Result<()> {
+        if let Some(person) = &self.person {
+            let person = checked_name(person).context("--person")?;
+            eprint!("{}", new_person_text(&person, &self.store()?)?);
         }
+        Ok(())
+    }
+
+    fn store(&self) -> anyhow::Result<Store> {
         let mut store = Store::open(&self.database.path())?;
         store.check_writable()?;
         if let Some(group) = &self.group {
             store.members(group)?;
         }
+        Ok(store)
+    }
+
+    /// Opens the database before the work: what is wrong with it is better known then. None without a person.
+    pub(super) fn keeper(&self, attempt: &Attempt, folder: &Path) -> anyhow::Result<Option<Arc<Keeper>>> {
+        if self.person.is_none() {
+            return Ok(None);
+        }
+        let store = self.store()?;
         let (attempt, group, folder) = (attempt.clone(), self.group.clone(), folder.to_path_buf());
         let state = Mutex::new(State { store, kept: Vec::new() });
         Ok(Some(Arc::new(Keeper { attempt, group, folder, state })))
     }
+}
+
+/// A line for who is not in the database yet: a mistyped name makes a new person. Nothing for others.
+fn new_person_text(person: &str, store: &Store) -> anyhow::Result<String> {
+    let people = store.people()?;
+    let names: Vec<&str> = people.iter().map(|person| person.name.as_str()).collect();
+    if names.contains(&person) {
+        return Ok(String::new());
+    }
+    let (file, like) = (store.file().display(), did_you_mean(person, &names));
+    Ok(format!("\"{person}\" is not in {file} yet: the first result makes a new person of this name{like}\n"))
 }
 
 /// Stores each attempt once, whoever comes with it first.
@@ -226,6 +255,8 @@ mod tests {
         let database = Database { database: Some(folder.path().join("r.sqlite")) };
         let args = KeepingArgs { person: Some("Ada".into()), database, group: None };
         let attempt = args.attempt("touch", &Scene::parse(TASK).unwrap(), Path::new("s.jsonl")).unwrap();
+        let told = new_person_text("Ada", &args.store().unwrap()).unwrap();
+        assert!(told.contains("\"Ada\" is not in ") && !told.contains("mean"), "{told}");
         let keeper = args.keeper(&attempt, folder.path()).unwrap().unwrap();
         let scene = Scene::parse(TASK).unwrap();
         let source =
@@ -265,5 +296,8 @@ mod tests {
         let stored = keeper.state().store.results(&Filter::default()).unwrap();
         let how: Vec<&str> = stored.iter().map(|stored| stored.result.outcome_text()).collect();
         assert_eq!(how, ["passed", "passed", "broken off"]);
+        assert_eq!(new_person_text("Ada", &args.store().unwrap()).unwrap(), "");
+        let told = new_person_text("Adaa", &args.store().unwrap()).unwrap();
+        assert!(told.contains("new person") && told.contains("did you mean \"Ada\"?"), "{told}");
     }
 }

@@ -174,7 +174,7 @@ impl PressedCubes {
         for (place_m, &(body, node)) in self.shown.positions_m.iter_mut().zip(&self.shown_nodes) {
             *place_m = self.bodies.model(body).state().positions_m[node.index()];
         }
-        snapshot_frame(&self.shown, &Pace::default(), None)
+        snapshot_frame(&self.shown, &Pace::default(), None, None)
     }
 
     pub(crate) fn step(&mut self, step_s: f64) {

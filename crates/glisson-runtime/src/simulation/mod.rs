@@ -3,9 +3,11 @@
 mod guard;
 mod events;
 mod scripted;
+mod turning;
 
 pub use guard::Broken;
 pub(crate) use guard::panic_text;
+pub use turning::{ParameterState, Parameters};
 
 use crate::incidents::{Incidents, Notice, Notices, Once};
 use crate::recorder::Recorder;
@@ -22,6 +24,7 @@ use glisson::record::session::SessionEvent;
 use glisson::scene::{BodySet, OrganBody, Scene, build_world, joint_mesh_hash};
 use glisson::tool::MAX_TOOLS;
 use glisson::training::task::{TaskRecord, TaskRun};
+use glisson::world::spec::Hand;
 use glisson::world::{StageWatch, StepInput, StepReport, World};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -65,6 +68,10 @@ impl OpenScene {
 pub struct Simulation {
     world: World,
     bodies: Arc<BodySet>,
+    /// As the scene says, when numbers of it were turned.
+    bodies_of_scene: Arc<BodySet>,
+    hand_of_scene: Option<Hand>,
+    turned: Option<turning::Turned>,
     recorder: Option<Recorder>,
     builder: Option<JoinHandle<BuiltModel>>,
     incidents: Incidents,
@@ -100,9 +107,13 @@ impl Simulation {
         let recorder = record
             .map(|path| Recorder::create(path, &source.scene.text, joint_mesh_hash(&bodies)))
             .transpose()?;
+        let bodies = Arc::new(bodies);
         Ok(Self {
+            hand_of_scene: world.spec().hand,
             world,
-            bodies: Arc::new(bodies),
+            bodies_of_scene: Arc::clone(&bodies),
+            bodies,
+            turned: None,
             recorder,
             builder: None,
             incidents: Incidents::default(),
@@ -158,6 +169,11 @@ impl Simulation {
     /// What models of the organ are made from; of several bodies that of the first organ, with the mesh of all.
     pub fn body(&self) -> &OrganBody {
         &self.bodies.joint
+    }
+
+    /// All bodies, with the numbers that hold.
+    pub(crate) fn bodies(&self) -> &Arc<BodySet> {
+        &self.bodies
     }
 
     fn record(&mut self, event: &SessionEvent) -> anyhow::Result<()> {
@@ -263,7 +279,13 @@ impl Simulation {
         match made {
             Ok((model, made)) => match self.world.deliver_model(model, made) {
                 // The new one may ask in its turn; where none could be made it is not tried again.
-                Ok(true) => self.orders_recomputations = self.is_live,
+                Ok(true) => {
+                    self.orders_recomputations = self.is_live;
+                    if let Some(turned) = self.turned.take() {
+                        self.world.go_on_with_numbers_of(&turned.bodies);
+                        self.bodies = turned.bodies;
+                    }
+                }
                 Ok(false) => bail!("the {made} model was made, but the {kind} model was ordered"),
                 Err(refusal) => self.refuse_model(kind, &refusal.into()),
             },
@@ -274,7 +296,8 @@ impl Simulation {
 
     fn refuse_model(&mut self, kind: ModelKind, error: &anyhow::Error) {
         self.world.cancel_model_swap();
-        self.tell(format!("the {kind} model cannot take over: {error:#}"));
+        let stays = if self.turned.take().is_some() { "; the numbers stay as they were" } else { "" };
+        self.tell(format!("the {kind} model cannot take over: {error:#}{stays}"));
     }
 
     /// Tells what is wrong, or was not done. What was just said is not repeated.
@@ -339,13 +362,21 @@ impl Simulation {
 
     /// Gravity from now on.
     pub(crate) fn set_gravity(&mut self, gravity_m_per_s2: DVec3) -> anyhow::Result<()> {
-        self.guarded(|simulation| {
-            if let Some(steady_m_per_s2) = &mut simulation.steady_gravity_m_per_s2 {
-                *steady_m_per_s2 = gravity_m_per_s2;
-                return Ok(());
-            }
-            simulation.set_gravity_now(gravity_m_per_s2)
-        })
+        self.guarded(|simulation| simulation.set_gravity_or_after_jerk(gravity_m_per_s2))
+    }
+
+    /// While an event of the task jerks, from its end on.
+    fn set_gravity_or_after_jerk(&mut self, gravity_m_per_s2: DVec3) -> anyhow::Result<()> {
+        if let Some(steady_m_per_s2) = &mut self.steady_gravity_m_per_s2 {
+            *steady_m_per_s2 = gravity_m_per_s2;
+            return Ok(());
+        }
+        self.set_gravity_now(gravity_m_per_s2)
+    }
+
+    /// Gravity without what an event of the task adds to it [m/s2].
+    fn gravity_m_per_s2(&self) -> DVec3 {
+        self.steady_gravity_m_per_s2.unwrap_or(self.world.gravity_m_per_s2())
     }
 
     fn set_gravity_now(&mut self, gravity_m_per_s2: DVec3) -> anyhow::Result<()> {
@@ -420,11 +451,16 @@ impl Simulation {
 
     fn undo_edit_now(&mut self) -> anyhow::Result<()> {
         self.record(&SessionEvent::UndoEdit { step: self.world.steps_made() })?;
+        let ordered = self.world.ordered_model();
         if !self.world.undo_edit() {
             self.tell("there is no cut that could be undone".to_owned());
         } else if self.builder.is_some() && self.world.ordered_model().is_none() {
             self.builder = None;
             self.orders_recomputations = self.is_live;
+            // What was turned holds all the same, in a model of the organ as it is now.
+            if let (Some(kind), Some(turned)) = (ordered, &self.turned) {
+                self.make_in_background(kind, turned.at_step);
+            }
         }
         Ok(())
     }
@@ -474,8 +510,14 @@ impl Simulation {
         let step = self.world.steps_made();
         let at_step = at_step.max(step);
         self.record(&SessionEvent::QueueModelSwap { step, at_step, model: kind })?;
+        self.make_in_background(kind, at_step);
+        Ok(())
+    }
+
+    /// Makes a model with the numbers that hold, or were turned and are to hold with it.
+    fn make_in_background(&mut self, kind: ModelKind, at_step: u64) {
         self.world.queue_model_swap(at_step, kind);
-        let bodies = Arc::clone(&self.bodies);
+        let bodies = Arc::clone(self.turned.as_ref().map_or(&self.bodies, |turned| &turned.bodies));
         // Of an organ with new tetrahedra the model is made whole, and follows the edits when it is delivered.
         let mut live = self.world.organ().live_tetrahedra().to_vec();
         if !self.world.has_only_removals() {
@@ -485,7 +527,6 @@ impl Simulation {
             let model = bodies.build_as_cut(kind, &live)?;
             Ok((model, kind))
         }));
-        Ok(())
     }
 
     /// Ends the recording, if there is one.

@@ -75,7 +75,7 @@ impl Simulation {
             if !run.is_taken[tool] {
                 self.clip_vessel(tool)?;
             }
-            let time_s = self.world.steps_made() as f64 * self.world.spec().time_step_s;
+            let time_s = self.world.time_s();
             let after_ml_per_min = bleeding_ml_per_min(&self.world);
             let clip = Clip { time_s, before_ml_per_min, after_ml_per_min };
             run.script.see(&clip);

@@ -106,16 +106,25 @@ pub struct OrganBody {
     pub workers: SharedWorkers,
 }
 
+/// A material's numbers in words, each to four figures.
+fn numbers_text(material: &LinearElastic) -> String {
+    format!(
+        "(E {} kPa, nu {}, {} kg/m3)",
+        figures(material.young_modulus_pa() / 1e3),
+        figures(material.poisson_ratio()),
+        material.density_kg_per_m3()
+    )
+}
+
+fn figures(number: f64) -> f64 {
+    format!("{number:.3e}").parse().unwrap_or(number)
+}
+
 impl OrganBody {
     /// A body without supports, loads and damping.
     pub fn new(mesh: TetMesh, material: LinearElastic, time_step_s: f64) -> Self {
         Self {
-            material_text: format!(
-                "(E {} kPa, nu {}, {} kg/m3)",
-                material.young_modulus_pa() / 1e3,
-                material.poisson_ratio(),
-                material.density_kg_per_m3()
-            ),
+            material_text: numbers_text(&material),
             mesh,
             material,
             tissue_parts: None,
@@ -139,6 +148,13 @@ impl OrganBody {
             measured: None,
             workers: Arc::new(Sequential),
         }
+    }
+
+    /// Other elasticity, also in words.
+    pub fn set_material(&mut self, material: LinearElastic) {
+        self.material_text =
+            self.material_text.replace(&numbers_text(&self.material), &numbers_text(&material));
+        self.material = material;
     }
 
     /// What keeps the body in its place at rest: supports, and nodes at which others carry it; ascending.

@@ -160,7 +160,7 @@ fn what_is_read_is_what_was_shown_within_half_a_step() {
                 assert_eq!(shown, Some(version_of(frame)));
                 let snapshot = snapshot(side, frame);
                 let n = 3 * snapshot.positions_m.len();
-                check_close(&found, &snapshot_frame(&snapshot, &pace, None), first_position(2), n);
+                check_close(&found, &snapshot_frame(&snapshot, &pace, None, None), first_position(2), n);
                 frame += 1;
             }
         }

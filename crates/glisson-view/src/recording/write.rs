@@ -192,7 +192,7 @@ impl RecordingWriter {
         (head, tail): (&[u8], &[u8]),
     ) -> Last {
         let pace = Pace::default();
-        let mut whole = frames::snapshot_frame(snapshot, &pace, None);
+        let mut whole = frames::snapshot_frame(snapshot, &pace, None, None);
         let first = frames::first_position(snapshot.tools.len());
         let new_tail = whole.split_off(first + 12 * places.len());
         whole.truncate(first);

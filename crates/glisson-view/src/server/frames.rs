@@ -1,5 +1,6 @@
 //! The binary frames of the viewer's protocol (`docs/protocol.md`), little endian.
 
+use super::inside::InsideView;
 use glisson::math::DVec3;
 use glisson::record::snapshot::{ContactPoints, DisplayTopology, Snapshot, ThreadSnapshot};
 pub use glisson_runtime::pace::Pace;
@@ -12,6 +13,7 @@ const FLAG_PAUSED: u32 = 2;
 const FLAG_GRASPS: u32 = 4;
 const FLAG_CONTACT_POINTS: u32 = 8;
 const FLAG_THREADS: u32 = 16;
+const FLAG_INSIDE: u32 = 32;
 /// Where a SNAPSHOT frame says how many vertices it has.
 pub(crate) const N_VERTICES_AT: usize = 56;
 
@@ -53,6 +55,16 @@ impl FrameWriter {
         }
     }
 
+    fn inside(&mut self, inside: &InsideView) {
+        self.u32s(&[inside.field, inside.at_vertices.len() as u32, inside.section.len() as u32]);
+        self.0.extend(inside.energies_j.iter().flat_map(|x| (*x as f32).to_le_bytes()));
+        self.0.extend(inside.at_vertices.iter().flat_map(|x| x.to_le_bytes()));
+        for (place_m, value) in &inside.section {
+            self.positions(&[*place_m]);
+            self.0.extend((*value as f32).to_le_bytes());
+        }
+    }
+
     fn contact_points(&mut self, contacts: &ContactPoints) {
         self.0.reserve(8 * contacts.sums.len() + 4 + 40 * contacts.points.len());
         for sum in &contacts.sums {
@@ -83,18 +95,24 @@ pub fn topology_frame(topology: &DisplayTopology) -> Vec<u8> {
     frame.0
 }
 
-/// A SNAPSHOT frame, for those who look at contact points with these.
-pub fn snapshot_frame(snapshot: &Snapshot, pace: &Pace, contacts: Option<&ContactPoints>) -> Vec<u8> {
+/// A SNAPSHOT frame, for those who look at contact points, or at the inside, with these.
+pub fn snapshot_frame(
+    snapshot: &Snapshot,
+    pace: &Pace,
+    contacts: Option<&ContactPoints>,
+    inside: Option<&InsideView>,
+) -> Vec<u8> {
     let mut frame = FrameWriter::new(KIND_SNAPSHOT, snapshot.topology_version);
     frame.0.extend_from_slice(&snapshot.step.to_le_bytes());
     frame.f64s(&[snapshot.time_s, pace.rate_hz, pace.real_time_factor]);
     let paused = if pace.paused { FLAG_PAUSED } else { 0 };
     let with_contacts = if contacts.is_some() { FLAG_CONTACT_POINTS } else { 0 };
     let with_threads = if snapshot.threads.is_empty() { 0 } else { FLAG_THREADS };
+    let with_inside = if inside.is_some() { FLAG_INSIDE } else { 0 };
     let bleeding = &snapshot.bleeding;
     let n_blood = if bleeding.has_vessels { 1 + bleeding.ends.len() as u32 } else { 0 };
     let (n_tools, n_vertices) = (snapshot.tools.len() as u32, snapshot.positions_m.len() as u32);
-    frame.u32s(&[paused | with_contacts | with_threads, n_tools, n_vertices, n_blood]);
+    frame.u32s(&[paused | with_contacts | with_threads | with_inside, n_tools, n_vertices, n_blood]);
     for tool in &snapshot.tools {
         let pose = &tool.pose;
         frame.f64s(&pose.tip_in_world_m.to_array());
@@ -124,6 +142,9 @@ pub fn snapshot_frame(snapshot: &Snapshot, pace: &Pace, contacts: Option<&Contac
     }
     if !snapshot.threads.is_empty() {
         frame.threads(&snapshot.threads);
+    }
+    if let Some(inside) = inside {
+        frame.inside(inside);
     }
     frame.0
 }
@@ -203,7 +224,7 @@ mod tests {
 
     #[test]
     fn snapshot_frames_have_the_documented_layout() {
-        let frame = snapshot_frame(&snapshot(), &PACE, None);
+        let frame = snapshot_frame(&snapshot(), &PACE, None, None);
         let double = |at: usize| f64::from_le_bytes(frame[at..at + 8].try_into().unwrap());
         assert_eq!(frame[16], 5);
         let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
@@ -225,8 +246,8 @@ mod tests {
             n_needle_nodes: 2,
             clips_m: vec![DVec3::ONE],
         };
-        let frame = snapshot_frame(&Snapshot { threads: vec![thread], ..snapshot() }, &PACE, None);
-        let without = snapshot_frame(&snapshot(), &PACE, None);
+        let frame = snapshot_frame(&Snapshot { threads: vec![thread], ..snapshot() }, &PACE, None, None);
+        let without = snapshot_frame(&snapshot(), &PACE, None, None);
         let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
         assert_eq!((frame.len(), without.len()), (WITHOUT_BLOOD + 4 + 16 + 12 * 4, WITHOUT_BLOOD));
         assert_eq!([0, 4, 8, 12].map(|at| word(WITHOUT_BLOOD + at)), [1, 3, 2, 1]);
@@ -241,7 +262,7 @@ mod tests {
         let ends = vec![end; 2];
         let bleeding =
             BleedingSnapshot { has_vessels: true, lost_m3: 0.25, rate_m3_per_s: 1.0, n_clips: 3, ends };
-        let frame = snapshot_frame(&Snapshot { bleeding, ..snapshot() }, &PACE, None);
+        let frame = snapshot_frame(&Snapshot { bleeding, ..snapshot() }, &PACE, None, None);
         assert_eq!(frame[60], 3, "a sum and two ends");
         assert_eq!(frame.len(), WITHOUT_BLOOD + 3 * 16);
         let single = |at: usize| f32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
@@ -268,8 +289,8 @@ mod tests {
         let ends = vec![BleedingEnd { position_m: DVec3::ONE, rate_m3_per_s: 0.5 }];
         let bleeding = BleedingSnapshot { has_vessels: true, ends, ..BleedingSnapshot::default() };
         let snapshot = Snapshot { bleeding, ..snapshot() };
-        let without = snapshot_frame(&snapshot, &PACE, None);
-        let with = snapshot_frame(&snapshot, &PACE, Some(&contacts));
+        let without = snapshot_frame(&snapshot, &PACE, None, None);
+        let with = snapshot_frame(&snapshot, &PACE, Some(&contacts), None);
         let n = without.len();
         assert_eq!(with.len(), n + 5 * 8 + 4 + 3 * 40);
         assert_eq!((without[48], with[48]), (2, 2 + 8));
@@ -283,5 +304,29 @@ mod tests {
         assert_eq!(with[n + 124..n + 128], [4, 2, 1, 0]);
         let numbers: Vec<f32> = (0..9).map(|i| single(88 + 4 * i)).collect();
         assert_eq!(numbers, [0.5, 0.25, 0.125, 0.0, 1.0, 0.0, 0.0, 2.0, 0.0]);
+    }
+
+    #[test]
+    fn what_is_looked_at_inside_comes_last_with_its_numbers() {
+        let mut snapshot = snapshot();
+        snapshot.threads.clear();
+        let section = vec![(DVec3::new(1.0, 2.0, 3.0), 4.0); 3];
+        let view = InsideView {
+            field: 2,
+            energies_j: [0.5, 0.25, 0.125],
+            at_vertices: vec![7.0, 8.0, 9.0],
+            section,
+        };
+        let frame = snapshot_frame(&snapshot, &PACE, None, Some(&view));
+        let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
+        let float = |at: usize| f32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
+        assert_eq!(word(48), FLAG_PAUSED | FLAG_INSIDE);
+        let first = WITHOUT_BLOOD;
+        assert_eq!([0, 4, 8].map(|at| word(first + at)), [2, 3, 3]);
+        assert_eq!(
+            [12, 16, 20, 24, 32, 36, 48].map(|at| float(first + at)),
+            [0.5, 0.25, 0.125, 7.0, 9.0, 1.0, 4.0]
+        );
+        assert_eq!(frame.len(), first + 24 + 12 + 3 * 16);
     }
 }

@@ -1,6 +1,7 @@
 //! The instruments that the page in control holds as devices ([`glisson_runtime::devices::viewer`]): what it says about them goes to the
 //! haptic loop, and what a hand would feel comes back.
 
+use glisson_runtime::control::Steers;
 use glisson_runtime::live::Command;
 use glisson_runtime::page_hand::PageHand;
 use std::sync::{Mutex, PoisonError};
@@ -63,9 +64,11 @@ impl Hands {
         is_taken
     }
 
-    /// Whether a page has control.
-    pub(super) fn set_controlled(&self, is_controlled: bool) {
-        self.each(|_, hand| hand.set_controlled(is_controlled));
+    /// Who steers now: a hand is one of a page, or of nobody.
+    pub(super) fn are_of(&self, steers: &Steers) {
+        self.each(|tool, hand| {
+            hand.set_controlled(steers.holder(tool).is_some_and(|viewer| viewer.has_page))
+        });
     }
 
     /// What they feel now.

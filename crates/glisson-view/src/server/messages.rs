@@ -1,17 +1,21 @@
 //! The JSON messages of the viewer's protocol.
 
 use super::hands::FeltBy;
+use super::inside::Look;
 use glisson::math::{Aabb, DVec3};
 use glisson::model::kind::{MODELS, ModelKind};
+use glisson::record::inside::{Field, Plane};
+use glisson::record::parameter::Parameter;
 use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ThreadSnapshot, ToolSnapshot};
 use glisson::tool::{Tool, ToolInput};
 use glisson::training::task::TaskStatus;
 use glisson::world::spec::BodySpec;
+use glisson_runtime::control::{Holder, Steers, Viewer};
 use glisson_runtime::devices::viewer::GREATEST_FORCE_N;
-use glisson_runtime::haptic_loop::HapticReport;
+use glisson_runtime::haptic_loop::{HapticReport, ToolLink};
 use glisson_runtime::live::Command;
 use glisson_runtime::published::Published;
-use glisson_runtime::{Notice, Simulation};
+use glisson_runtime::{Notice, ParameterState, Parameters, Simulation};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -45,6 +49,11 @@ pub(crate) fn hello(simulation: &Simulation) -> Value {
             .collect::<Vec<_>>(),
         "fixed_nodes": organ.fixed_nodes().iter().map(|n| n.0).collect::<Vec<_>>(),
     })
+}
+
+/// Which device holds which instrument.
+pub(super) fn devices<'a>(links: impl Iterator<Item = &'a ToolLink>) -> Value {
+    links.map(|link| json!({ "tool": link.tool, "name": link.device_name })).collect()
 }
 
 fn body(body: &BodySpec) -> Value {
@@ -179,10 +188,44 @@ pub(super) fn task(status: Option<&TaskStatus>) -> Value {
     json!({ "type": "task", "status": status })
 }
 
-/// Whether this viewer controls, and whether anybody does.
-pub(super) fn role(is_controller: bool, is_taken: bool) -> Value {
-    let role = if is_controller { "controller" } else { "viewer" };
-    json!({ "type": "role", "role": role, "control_is_taken": is_taken })
+/// Whether this viewer controls, whether anybody does, and who has each instrument in the hand.
+pub(super) fn role(steers: &Steers, viewer: Viewer) -> Value {
+    let role = if steers.controller == Some(viewer) { "controller" } else { "viewer" };
+    let held = |holder: &Holder| match holder {
+        Holder::Controller => "controller",
+        Holder::Offered => "offered",
+        Holder::Taken(by) if *by == viewer => "this",
+        Holder::Taken(_) => "another",
+    };
+    json!({
+        "type": "role",
+        "role": role,
+        "control_is_taken": steers.controller.is_some(),
+        "instruments": steers.holders.iter().map(held).collect::<Vec<_>>(),
+    })
+}
+
+/// What can be turned, and how it stands.
+pub(super) fn parameters(parameters: &Parameters) -> Value {
+    let one = |state: &ParameterState| {
+        let (name, unit, range) = (state.parameter.name(), state.parameter.unit(), state.parameter.range());
+        json!({
+            "name": name,
+            "unit": unit,
+            "body": state.body,
+            "value": state.value,
+            "of_scene": state.of_scene,
+            "coming": state.coming,
+            "least": range.start(),
+            "greatest": range.end(),
+            "refusal": state.refusal,
+        })
+    };
+    json!({
+        "type": "parameters",
+        "material": parameters.material,
+        "parameters": parameters.list.iter().map(one).collect::<Vec<_>>(),
+    })
 }
 
 /// Where the loop is that gives forces to hands.
@@ -224,8 +267,14 @@ pub(super) enum Wish {
     Command(Command),
     /// Somebody else may control.
     ReleaseControl,
+    /// The one who controls offers an instrument to the others, or has it again.
+    Offer { tool: usize, is_offered: bool },
+    /// An instrument that is offered is taken, or given back.
+    Hold { tool: usize, is_held: bool },
     /// Contact points are looked at, or no longer: for everyone.
     Contacts(bool),
+    /// Something inside of the bodies is looked at, or nothing any longer: for everyone.
+    Inside(Look),
     /// The simulation ends, and the page that it was started from comes again.
     Leave,
 }
@@ -275,11 +324,73 @@ enum ViewerMessage {
     TaskEvent {
         number: u32,
     },
+    Turn {
+        #[serde(default)]
+        body: usize,
+        parameter: Parameter,
+        value: f64,
+    },
+    Offer {
+        tool: usize,
+        offered: bool,
+    },
+    Hold {
+        tool: usize,
+        held: bool,
+    },
     ReleaseControl {},
     Leave {},
     Contacts {
         shown: bool,
     },
+    Inside {
+        #[serde(default)]
+        field: FieldName,
+        #[serde(default)]
+        plane: Option<PlaneMessage>,
+        #[serde(default)]
+        energies: bool,
+    },
+}
+
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum FieldName {
+    #[default]
+    None,
+    Strain,
+    Stress,
+    Quality,
+}
+
+impl From<FieldName> for Field {
+    fn from(name: FieldName) -> Self {
+        match name {
+            FieldName::None => Self::None,
+            FieldName::Strain => Self::Strain,
+            FieldName::Stress => Self::Stress,
+            FieldName::Quality => Self::Quality,
+        }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlaneMessage {
+    point_m: [f64; 3],
+    normal: [f64; 3],
+}
+
+impl PlaneMessage {
+    fn plane(self) -> Result<Plane, String> {
+        let normal = DVec3::from_array(self.normal).try_normalize();
+        let normal = normal.ok_or_else(|| "\"normal\" has no direction".to_string())?;
+        let point_m = DVec3::from_array(self.point_m);
+        if point_m.abs().max_element() > FURTHEST_TIP_M {
+            return Err(format!("\"point_m\" is {point_m} m; allowed: up to {FURTHEST_TIP_M} m"));
+        }
+        Ok(Plane { point_m, normal })
+    }
 }
 
 /// No patient and no room is so large: more is millimetres taken for metres [m].
@@ -298,6 +409,13 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
     Ok(Wish::Command(match message {
         ViewerMessage::ReleaseControl {} => return Ok(Wish::ReleaseControl),
         ViewerMessage::Leave {} => return Ok(Wish::Leave),
+        ViewerMessage::Offer { tool, offered } => return Ok(Wish::Offer { tool, is_offered: offered }),
+        ViewerMessage::Hold { tool, held } => return Ok(Wish::Hold { tool, is_held: held }),
+        ViewerMessage::Turn { body, parameter, value } => Command::Turn { body, parameter, value },
+        ViewerMessage::Inside { field, plane, energies } => {
+            let plane = plane.map(PlaneMessage::plane).transpose()?;
+            return Ok(Wish::Inside(Look { field: field.into(), plane, energies }));
+        }
         ViewerMessage::Contacts { shown } => return Ok(Wish::Contacts(shown)),
         ViewerMessage::Tool { tool, tip_m, shaft, roll_rad, jaw, trigger } => {
             let shaft_in_world = DVec3::from_array(shaft)
@@ -356,7 +474,10 @@ mod tests {
         }
     }
 
-    const MESSAGES: [&str; 7] = [
+    const MESSAGES: [&str; 10] = [
+        r#"{"type":"inside","field":"stress","plane":{"point_m":[0,0.1,0],"normal":[0,0,2]},"energies":true}"#,
+        r#"{"type":"turn","parameter":"young_modulus","body":1,"value":6e3}"#,
+        r#"{"type":"hold","tool":1,"held":true}"#,
         r#"{"type":"tool","tool":1,"tip_m":[1,-2.5,3e-3],"shaft":[0,0,2],"roll_rad":0.5,"jaw":1,"trigger":0.25}"#,
         r#"{"type":"pause","paused":true}"#,
         r#"{"type":"model","name":"explicit"}"#,

@@ -3,6 +3,7 @@
 pub mod access;
 mod allowance;
 mod hands;
+pub mod inside;
 pub(crate) mod limits;
 pub mod frames;
 pub(crate) mod messages;
@@ -158,6 +159,8 @@ pub fn serve(
     let (commands, commands_out) = std::sync::mpsc::channel();
     let mut hello = messages::hello(&simulation);
     hello["can_leave"] = may_leave.into();
+    let devices = held.iter().map(|(_, link)| link).chain(&remote);
+    hello["devices"] = messages::devices(devices);
     let leaving = may_leave.then(|| watch::Sender::new(false));
     let (mut held, mut links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
     let hands = held.iter_mut().zip(&links).filter_map(|(held, link): (&mut HeldTool, &ToolLink)| {
@@ -230,11 +233,11 @@ async fn serve_pages(
 
 /// Tells the hands who controls, until the program ends.
 async fn tell_hands(shared: Arc<Shared>) {
-    let mut controller = shared.control.watch();
+    let mut steers = shared.control.watch();
     loop {
-        let has_page = controller.borrow_and_update().is_some_and(|viewer| viewer.has_page);
-        shared.hands.set_controlled(has_page);
-        if shared.hands.is_empty() || controller.changed().await.is_err() {
+        let now = *steers.borrow_and_update();
+        shared.hands.are_of(&now);
+        if shared.hands.is_empty() || steers.changed().await.is_err() {
             return;
         }
     }

@@ -3,6 +3,7 @@
 use super::Shared;
 use super::allowance::Allowance;
 use super::frames::{snapshot_frame, topology_frame};
+use super::inside::{InsideView, Looker};
 use super::messages::{self, Wish};
 use axum::extract::State;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code};
@@ -10,10 +11,11 @@ use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use glisson::model::kind::ModelKind;
 use glisson::training::task::TaskStatus;
+use glisson_runtime::Parameters;
 use glisson_runtime::control::Viewer;
 use glisson_runtime::live::Command;
 use glisson_runtime::published::Published;
-use glisson_runtime::watchers::ContactWatcher;
+use glisson_runtime::watchers::Watcher;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
@@ -60,8 +62,15 @@ pub(super) async fn open(State(shared): State<Arc<Shared>>, upgrade: WebSocketUp
         move |socket| async move {
             let now = Instant::now();
             let allowance = Allowance::new(now);
-            let mut connection =
-                Connection { socket, seat, allowance, last_heard: now, told: None, contacts: None };
+            let mut connection = Connection {
+                socket,
+                seat,
+                allowance,
+                last_heard: now,
+                told: None,
+                contacts: None,
+                inside: None,
+            };
             if let Err(End::Refused(reason)) = connection.talk().await {
                 let close = CloseFrame { code: close_code::POLICY, reason: reason.into() };
                 // Who does not take the reason goes without it.
@@ -87,7 +96,9 @@ struct Connection {
     /// When it was told that it only watches.
     told: Option<Instant>,
     /// While it looks at contact points.
-    contacts: Option<ContactWatcher>,
+    contacts: Option<Watcher>,
+    /// While it looks at the inside of bodies.
+    inside: Option<Looker>,
 }
 
 /// What a viewer was last told.
@@ -97,6 +108,7 @@ struct Told {
     version: u32,
     n_notices: usize,
     task: Option<TaskStatus>,
+    parameters: Option<Arc<Parameters>>,
 }
 
 impl Connection {
@@ -127,6 +139,10 @@ impl Connection {
             told.task.clone_from(&latest.task);
             self.say(messages::task(latest.task.as_ref())).await?;
         }
+        if told.parameters.as_ref().is_none_or(|told| !Arc::ptr_eq(told, &latest.parameters)) {
+            told.parameters = Some(Arc::clone(&latest.parameters));
+            self.say(messages::parameters(&latest.parameters)).await?;
+        }
         if latest.model != told.model {
             told.model = latest.model;
             self.greet(latest).await?;
@@ -135,7 +151,9 @@ impl Connection {
         }
         told.version = latest.topology.version;
         let contacts = latest.contact_points.as_ref().filter(|_| self.contacts.is_some());
-        self.send(Message::Binary(snapshot_frame(&latest.snapshot, &latest.pace, contacts).into())).await
+        let inside = self.inside.as_ref().and_then(|looker| InsideView::of(&looker.look, latest));
+        let frame = snapshot_frame(&latest.snapshot, &latest.pace, contacts, inside.as_ref());
+        self.send(Message::Binary(frame.into())).await
     }
 
     async fn say_timing(&mut self, published: &watch::Receiver<Arc<Published>>) -> Result<(), End> {
@@ -149,7 +167,7 @@ impl Connection {
     async fn talk(&mut self) -> Result<(), End> {
         let shared = Arc::clone(&self.seat.shared);
         let mut published = shared.published.clone();
-        let mut controller = shared.control.watch();
+        let mut steers = shared.control.watch();
         let first = Arc::clone(&published.borrow());
         let mut told = Told {
             model: first.model,
@@ -157,10 +175,11 @@ impl Connection {
             // Who comes after the end is told what happened.
             n_notices: if first.is_broken { 0 } else { first.n_notices },
             task: None,
+            parameters: None,
         };
         self.greet(&first).await?;
         published.mark_changed();
-        controller.mark_changed();
+        steers.mark_changed();
         let (mut beat, mut feel) = (unhurried(BEAT), unhurried(FEEL));
         let mut felt = Vec::new();
         loop {
@@ -172,10 +191,10 @@ impl Connection {
                     let latest = Arc::clone(&published.borrow_and_update());
                     self.show(&latest, &mut told).await?;
                 }
-                changed = controller.changed() => {
+                changed = steers.changed() => {
                     if changed.is_ok() {
-                        let holder = *controller.borrow_and_update();
-                        self.say(messages::role(holder == Some(self.seat.viewer), holder.is_some())).await?;
+                        let now = *steers.borrow_and_update();
+                        self.say(messages::role(&now, self.seat.viewer)).await?;
                     }
                 }
                 _ = beat.tick() => {
@@ -195,10 +214,11 @@ impl Connection {
                 message = self.socket.recv() => {
                     match message {
                         Some(Ok(message)) => {
-                            let looked = self.contacts.is_some();
+                            let looks = |this: &Self| (this.contacts.is_some(), this.inside.as_ref().map(|looker| looker.look));
+                            let looked = looks(self);
                             self.hear(message).await?;
                             // Also while nothing moves.
-                            if self.contacts.is_some() != looked {
+                            if looks(self) != looked {
                                 published.mark_changed();
                             }
                         }
@@ -227,8 +247,14 @@ impl Connection {
                 _ => Ok(()),
             };
         };
+        let (shared, viewer) = (Arc::clone(&self.seat.shared), self.seat.viewer);
+        let control = &shared.control;
         match messages::wish(&text) {
-            Ok(Wish::ReleaseControl) => self.seat.shared.control.release(self.seat.viewer),
+            Ok(Wish::ReleaseControl) => control.release(viewer),
+            Ok(Wish::Inside(look)) => {
+                let watchers = Arc::clone(&shared.published.borrow().inside_watchers);
+                self.inside = (!look.is_at_nothing()).then(|| Looker { look, _watcher: watchers.enter() });
+            }
             Ok(Wish::Contacts(shown)) => {
                 let watchers = Arc::clone(&self.seat.shared.published.borrow().contact_watchers);
                 self.contacts = shown.then(|| watchers.enter());
@@ -238,13 +264,17 @@ impl Connection {
             Ok(Wish::Leave) if self.seat.shared.leaving.is_none() => {
                 self.say(messages::error("no page started this simulation: Ctrl-C ends the program")).await?;
             }
-            Ok(Wish::Command(command)) if self.controls() => self.obey(command).await,
-            Ok(Wish::Leave) if self.controls() => {
+            Ok(Wish::Hold { tool, is_held: false }) => control.give_back(viewer, tool),
+            Ok(Wish::Hold { tool, .. }) if control.take(viewer, tool) => {}
+            Ok(Wish::Hold { .. }) => self.say(messages::error("this instrument is not offered")).await?,
+            Ok(Wish::Offer { tool, is_offered }) if control.offer(viewer, tool, is_offered) => {}
+            Ok(Wish::Command(command)) if control.may_command(viewer, &command) => self.obey(command).await,
+            Ok(Wish::Leave) if control.may_control(viewer) => {
                 self.seat.shared.leaving.iter().for_each(|leaving| {
                     leaving.send_replace(true);
                 });
             }
-            Ok(Wish::Command(_) | Wish::Leave) => {
+            Ok(Wish::Command(_) | Wish::Leave | Wish::Offer { .. }) => {
                 if self.told.is_none_or(|told| told.elapsed() > TOLD_AGAIN) {
                     self.told = Some(Instant::now());
                     self.say(messages::error("another viewer has control; this one watches")).await?;
@@ -255,12 +285,7 @@ impl Connection {
         Ok(())
     }
 
-    /// Whether this viewer may steer; takes control where nobody has it.
-    fn controls(&self) -> bool {
-        self.seat.shared.control.may_control(self.seat.viewer)
-    }
-
-    /// The viewer controls.
+    /// The viewer may.
     async fn obey(&mut self, command: Command) {
         let shared = Arc::clone(&self.seat.shared);
         if shared.hands.take(&command) {

@@ -453,3 +453,51 @@ fn only_the_page_in_control_ends_the_simulation_and_only_where_a_page_comes_afte
     let served = server.thread.take().unwrap().join().unwrap().unwrap();
     assert!(served.was_left && served.ended.steps > 0);
 }
+
+#[test]
+fn an_instrument_that_is_offered_is_moved_by_who_takes_it_and_the_rest_by_who_controls() {
+    let server = Server::start(None);
+    let (mut first, mut second) = (server.connect(), server.connect());
+    assert_eq!(second.role(), "viewer");
+    second.say(r#"{"type":"hold","tool":0,"held":true}"#);
+    assert!(second.hear("error")["message"].as_str().unwrap().contains("not offered"));
+    first.say(r#"{"type":"offer","tool":0,"offered":true}"#);
+    while second.hear("role")["instruments"][0] != "offered" {}
+    second.say(r#"{"type":"hold","tool":0,"held":true}"#);
+    assert_eq!(second.hear("role")["instruments"][0], "this");
+    while first.hear("role")["instruments"][0] != "another" {}
+    let pose = r#"{"type":"tool","tool":0,"tip_m":[0.04,0.04,0.12],"shaft":[0,0,1]}"#;
+    first.say(pose);
+    assert!(first.hear("error")["message"].as_str().unwrap().contains("another viewer"));
+    second.say(pose);
+    let tip_z_m = |frame: &[u8]| f64::from_le_bytes(frame[80..88].try_into().unwrap());
+    while (tip_z_m(&first.snapshot()) - 0.12).abs() > 1e-3 {}
+    second.say(r#"{"type":"pause","paused":true}"#);
+    assert!(second.hear("error")["message"].as_str().unwrap().contains("another viewer"));
+    first.say(r#"{"type":"offer","tool":0,"offered":false}"#);
+    while second.hear("role")["instruments"][0] != "controller" {}
+}
+
+#[test]
+fn a_number_that_is_turned_is_told_to_all_and_a_wrong_one_is_refused() {
+    let server = Server::start(None);
+    let (mut first, mut second) = (server.connect(), server.connect());
+    let told = second.hear("parameters");
+    let of = |told: &serde_json::Value, name: &str| {
+        told["parameters"].as_array().unwrap().iter().find(|one| one["name"] == name).unwrap().clone()
+    };
+    assert_eq!(
+        (&of(&told, "young_modulus")["value"], &of(&told, "young_modulus")["unit"]),
+        (&5e3.into(), &"Pa".into())
+    );
+    first.say(r#"{"type":"turn","parameter":"young_modulus","value":4000}"#);
+    assert_eq!(of(&second.hear("parameters"), "young_modulus")["coming"], 4e3);
+    let now = second.hear("parameters");
+    assert_eq!(
+        (&of(&now, "young_modulus")["value"], &of(&now, "young_modulus")["of_scene"]),
+        (&4e3.into(), &5e3.into())
+    );
+    assert!(now["material"].as_str().unwrap().contains("E 4 kPa"), "{now}");
+    first.say(r#"{"type":"turn","parameter":"hand_greatest_force","value":1e9}"#);
+    assert!(second.hear("error")["message"].as_str().unwrap().contains("allowed: 0.01 to 1000 N"));
+}

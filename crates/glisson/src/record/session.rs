@@ -9,6 +9,7 @@ use crate::mesh::TetId;
 use crate::model::LevelOfDetail;
 use crate::model::StateHash;
 use crate::model::kind::ModelKind;
+use crate::record::parameter::Parameter;
 use crate::tool::external_detection::ExternalDetection;
 use crate::tool::{MAX_TOOLS, ToolInput};
 use serde::{Deserialize, Serialize};
@@ -150,6 +151,20 @@ pub enum SessionEvent {
         /// Which model.
         model: ModelKind,
     },
+    /// A number of the scene was turned. Where models are made anew for it, they take over before step `at_step`, which waits for
+    /// them; where one cannot be made, nothing changes.
+    Turn {
+        /// Index of the step to be made when it was turned.
+        step: u64,
+        /// Before which step it holds.
+        at_step: u64,
+        /// Of which body, by its place in the scene; 0 for what is of no body.
+        body: u8,
+        /// What.
+        parameter: Parameter,
+        /// Its new value, in SI.
+        value: f64,
+    },
     /// The state after `step` steps.
     Checkpoint {
         /// Steps made.
@@ -181,6 +196,7 @@ impl SessionEvent {
             | Self::Refine { step, .. }
             | Self::Effort { step, .. }
             | Self::QueueModelSwap { step, .. }
+            | Self::Turn { step, .. }
             | Self::Checkpoint { step, .. }
             | Self::End { step, .. } => step,
         }
@@ -291,11 +307,22 @@ fn check_event(event: &SessionEvent, last_step: u64) -> Result<(), String> {
         SessionEvent::Gravity { gravity_m_per_s2, .. } if !gravity_m_per_s2.is_finite() => {
             Err("gravity is not finite".into())
         }
-        SessionEvent::QueueModelSwap { at_step, .. } if *at_step < step => {
+        SessionEvent::QueueModelSwap { at_step, .. } | SessionEvent::Turn { at_step, .. }
+            if *at_step < step =>
+        {
             Err(format!("at_step {at_step} lies before step {step}"))
+        }
+        SessionEvent::Turn { parameter, value, .. } if !parameter.range().contains(value) => {
+            Err(out_of_range(*parameter, *value))
         }
         _ => Ok(()),
     }
+}
+
+/// Why a parameter cannot have a value, whatever the model.
+pub fn out_of_range(parameter: Parameter, value: f64) -> String {
+    let (range, unit) = (parameter.range(), parameter.unit());
+    format!("{parameter} = {value} {unit}; allowed: {} to {} {unit}", range.start(), range.end())
 }
 
 /// The reason why an input cannot be.
@@ -402,6 +429,13 @@ mod tests {
                 detected: vec![None, Some(found)],
             },
             SessionEvent::QueueModelSwap { step: 5, at_step: 50, model: ModelKind::Precomputed },
+            SessionEvent::Turn {
+                step: 5,
+                at_step: 60,
+                body: 1,
+                parameter: Parameter::YoungModulus,
+                value: 1.0 / 3.0e-4,
+            },
             SessionEvent::Checkpoint { step: 10, state_hash: hash },
             SessionEvent::Reset { step: 12 },
             SessionEvent::UndoEdit { step: 12 },

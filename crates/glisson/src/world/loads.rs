@@ -83,6 +83,17 @@ impl Loads {
         is_timed.then(|| (step - self.start) as f64)
     }
 
+    /// Whether some load or force field begins or ends at a time.
+    pub(super) fn are_timed(&self) -> bool {
+        let times = self.nodes.iter().map(|load| load.time).chain(self.fields.iter().map(|field| field.time));
+        times.into_iter().any(|time| time != LoadTime::Always)
+    }
+
+    /// Another time step from the next step on; none of the loads is timed.
+    pub(super) fn set_time_step(&mut self, time_step_s: f64) {
+        self.time_step_s = time_step_s;
+    }
+
     /// Times count from `step` on.
     pub(super) fn restart(&mut self, step: u64) {
         self.start = step;

@@ -18,6 +18,7 @@ mod tool_state;
 mod haptic;
 mod loads;
 mod node_answer;
+mod numbers;
 pub mod organ;
 mod parts;
 mod press;
@@ -190,6 +191,8 @@ pub struct World {
     /// Gravity and force fields of the last step.
     pull_m_per_s2: DVec3,
     step: u64,
+    /// Steps and time [s] up to where the time step was last another one.
+    clock_base: (u64, f64),
     report: StepReport,
     /// None until somebody chose one.
     effort: Option<LevelOfDetail>,
@@ -265,6 +268,7 @@ impl World {
             gravity_m_per_s2,
             pull_m_per_s2: gravity_m_per_s2,
             step: 0,
+            clock_base: (0, 0.0),
             report: StepReport::default(),
             effort: None,
             stage_watch: None,
@@ -515,7 +519,7 @@ impl World {
     /// Writes the displayed state now into `snapshot`.
     pub fn snapshot_into(&self, snapshot: &mut Snapshot) {
         snapshot.step = self.step;
-        snapshot.time_s = self.step as f64 * self.spec.time_step_s;
+        snapshot.time_s = self.time_s();
         snapshot.topology_version = self.organ.topology_version();
         let positions_m = self.organ.positions_m();
         snapshot.positions_m.clear();

@@ -55,6 +55,7 @@ impl World {
             gravity_m_per_s2: self.gravity_m_per_s2,
             pull_m_per_s2: self.pull_m_per_s2,
             step: self.step,
+            clock_base: self.clock_base,
             report: self.report,
             effort: self.effort,
             // Whoever listens to this world does not listen to its copy.

@@ -295,7 +295,7 @@ impl TaskRun {
         let moved = |(tool, from_m): (usize, &DVec3)| tip_m(world, tool).distance(*from_m) > BEGINS_M;
         if self.waiting_m.iter().enumerate().any(moved) {
             self.recorder = TraceRecorder::new(world);
-            self.began_s = Some(world.steps_made() as f64 * world.spec().time_step_s);
+            self.began_s = Some(world.time_s());
         }
         false
     }
@@ -315,7 +315,7 @@ impl TaskRun {
 
     /// Simulated time since it began [s].
     fn now_s(&self, world: &World) -> Option<f64> {
-        let now_s = world.steps_made() as f64 * world.spec().time_step_s;
+        let now_s = world.time_s();
         self.began_s.filter(|_| self.outcome.is_none()).map(|began_s| now_s - began_s)
     }
 

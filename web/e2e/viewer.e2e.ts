@@ -282,7 +282,7 @@ describe("the viewer in front of the test ellipsoid", () => {
       say({ type: "feel", greatest_force_n: 10, hands: [{ tool: 0, force_n: [0, 0, force_n], is_held }] });
     expect(await cell("hand_force")).toBe("–");
     feel(1.5);
-    await page.locator('[data-value="hand_force"]', { hasText: "1.500 N" }).waitFor();
+    await page.locator('[data-value="hand_force"]', { hasText: "1.50 N" }).waitFor();
     await page.waitForTimeout(200);
     // Who only watches feels nothing.
     expect(await effects()).toEqual([]);

@@ -38,14 +38,23 @@ const NONE = "–";
 /** A real minus is as wide as a digit. */
 const minus = (text: string): string => text.replace("-", "−");
 
-/** A force with its unit, to three figures or more: 12.34 N, 0.0512 N, 1.23 mN, 4.56 µN; what is less than a millionth is none. */
+/** To three figures, without an exponent, as long as it is less than a thousand: 123, 12.3, 1.23, 0.123, 0.0123. */
+function threeFigures(size: number): string {
+  const before = Math.floor(Math.log10(Number(size.toPrecision(3))));
+  return size.toFixed(Math.max(0, 2 - before));
+}
+
+/** A force with its unit, to three figures: 123 N, 12.3 N, 1.23 N, 0.0512 N, 1.23 mN, 4.56 µN; what is less than a millionth is none. */
 export function forceText(force_n: number): string {
   const size_n = Math.abs(force_n);
-  if (size_n >= 100) return `${force_n.toFixed(1)} N`;
-  if (size_n >= 10) return `${force_n.toFixed(2)} N`;
-  if (size_n >= 0.1 || size_n < 1e-6) return `${force_n.toFixed(3)} N`;
-  if (size_n >= 0.01) return `${force_n.toFixed(4)} N`;
-  return size_n >= 1e-3 ? `${(1e3 * force_n).toFixed(2)} mN` : `${Number((1e6 * force_n).toPrecision(3))} µN`;
+  if (size_n < 1e-6) return "0 N";
+  if (size_n >= 0.01) return `${threeFigures(size_n)} N`;
+  return size_n >= 1e-3 ? `${threeFigures(1e3 * size_n)} mN` : `${threeFigures(1e6 * size_n)} µN`;
+}
+
+/** Millilitres, or those of a minute: hundredths of little, whole ones of much. */
+function volumeText(ml: number): string {
+  return ml.toFixed(ml < 10 ? 2 : ml < 100 ? 1 : 0);
 }
 
 export function lengthOf(v: Vec3): number {
@@ -75,7 +84,7 @@ function instrumentText(hello: Hello, header: HandHeader, tool: number): string 
 
 /** Blood that comes out now: `12.3 ml/min from 2`. */
 function bleedingText(bleeding: Bleeding): string {
-  const rate = (60e6 * bleeding.rate_m3_per_s).toFixed(1);
+  const rate = volumeText(60e6 * bleeding.rate_m3_per_s);
   const parts = [bleeding.ends.length === 0 ? text("value_none") : text("value_from", { rate, n: bleeding.ends.length })];
   if (bleeding.clips > 0) parts.push(text("value_clips", { n: bleeding.clips }));
   return parts.join(", ");
@@ -119,7 +128,7 @@ export function panelValues(
     rate: header === null ? NONE : text("value_rate", { n: grouped.format(header.rate_steps_per_s) }),
     real_time_factor: header === null ? NONE : factorText(header.realTimeFactor, timing),
     step: header === null ? NONE : grouped.format(header.step),
-    time: header === null ? NONE : `${header.time_s.toFixed(3)} s`,
+    time: header === null ? NONE : `${header.time_s.toFixed(2)} s`,
     control: role === null ? NONE : text(role.role === "controller" ? "value_this_page" : role.control_is_taken ? "value_another" : "value_free"),
     haptics: timing?.haptics ? hapticsText(timing.haptics) : (whereHapticsAre(timing) ?? NONE),
     haptic_jitter: timing?.haptics ? jitterText(timing.haptics) : NONE,
@@ -128,7 +137,7 @@ export function panelValues(
     material: parameters?.material ?? scene?.material ?? NONE,
     mesh: scene === undefined ? NONE : `${grouped.format(scene.n_nodes)} / ${grouped.format(scene.n_tetrahedra)}`,
     bleeding: header?.bleeding ? bleedingText(header.bleeding) : NONE,
-    blood_lost: header?.bleeding ? `${(1e6 * header.bleeding.lost_m3).toFixed(1)} ml` : NONE,
+    blood_lost: header?.bleeding ? `${volumeText(1e6 * header.bleeding.lost_m3)} ml` : NONE,
     arrow_scale: `${Number((1000 * arrowScale_m_per_n).toPrecision(3))} mm / N`,
   };
 }

@@ -36,7 +36,7 @@ describe("gamepad", () => {
     expect([0, 1, 2, 3].map((tool) => rumble(feel, tool))).toEqual([0, 1 / 3, 0, 1]);
     expect(rumble(null, 0)).toBe(0);
     const shown = (tool: number) => panelValues(null, null, 0, 1, tool, { role: null, timing: null, feel, parameters: null }).hand_force;
-    expect([0, 1, 2].map(shown)).toEqual(["–", "1.000 N", "let go"]);
+    expect([0, 1, 2].map(shown)).toEqual(["–", "1.00 N", "let go"]);
     for (const bad of [{}, { hands: [{ tool: 0 }] }, { hands: [], greatest_force_n: "x" }, { hands: 3, greatest_force_n: 1 }]) {
       expect(() => decodeText(JSON.stringify({ type: "feel", greatest_force_n: 1, ...bad }))).toThrow(ProtocolError);
     }

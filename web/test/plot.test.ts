@@ -117,8 +117,9 @@ describe("panel", () => {
       expect(Math.abs(Number(number) * inNewtons[unit] - force) / force).toBeLessThanOrEqual(0.005);
       expect(text.length).toBeLessThanOrEqual(8);
     }
-    expect(forceText(0)).toBe("0.000 N");
-    expect(forceText(1.23456)).toBe("1.235 N");
+    expect(forceText(0)).toBe("0 N");
+    expect(forceText(1.23456)).toBe("1.23 N");
+    expect([9.996, 99.96, 123.4, 0.0512].map(forceText)).toEqual(["10.0 N", "100 N", "123 N", "0.0512 N"]);
     expect(forceText(1.89e-6)).toBe("1.89 µN");
   });
   it("points are in millimetres, without a negative zero", () => {

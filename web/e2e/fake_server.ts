@@ -101,6 +101,8 @@ export class FakeSimulator {
     else if (message.type === "single_step") this.step += 1;
     else if (message.type === "contacts" && message.shown === true) this.watchers.add(client);
     else if (message.type === "contacts") this.watchers.delete(client);
+    // It has no inside.
+    else if (message.type === "inside") return;
     else if (message.type === "reset") {
       this.step = 0;
       this.organ.reset();
@@ -140,7 +142,7 @@ export class FakeSimulator {
           bleeding: null,
           contactPoints: this.watchers.has(client) ? organ.contactPoints() : null,
           threads: [],
-      inside: null,
+          inside: null,
           tools: [
             {
               tip_m: vec3(organ.tip_m),

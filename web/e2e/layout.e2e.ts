@@ -25,6 +25,19 @@ const STATUS = {
 };
 const MESSAGE = "the simulation keeps pace again: it computes with full effort, and says so in words that take several lines";
 
+/** Some of what can be turned, one of it not. */
+const PARAMETERS = (["young_modulus", "poisson_ratio", "hand_stiffness", "time_step"] as const).map((name, i) => ({
+  name,
+  unit: "",
+  body: 0,
+  value: 0.4,
+  of_scene: 0.4,
+  coming: null,
+  least: 0,
+  greatest: 1,
+  refusal: i === 3 ? "loads or force fields of this scene begin or end at times that are counted in its steps" : null,
+}));
+
 describe("the viewer's layout", () => {
   let browser: Browser;
   let server: RunningServer;
@@ -61,6 +74,7 @@ describe("the viewer's layout", () => {
     for (const message of [
       { ...hello, scene, tools, bodies, can_leave: true },
       { type: "task", status: STATUS },
+      { type: "parameters", material: "liver", parameters: PARAMETERS },
       { type: "news", message: MESSAGE },
       { type: "error", message: MESSAGE },
     ]) {
@@ -84,19 +98,26 @@ describe("the viewer's layout", () => {
       expect(await faultsOfLayout(page), view).toEqual([]);
       await page.screenshot({ path: name(view) });
       // All that can be shown beside it.
-      for (const key of ["Shift+P", "c", "p"]) {
+      for (const key of ["Shift+P", "c", "p", "Shift+C", "Shift+X", "Shift+M"]) {
         await page.keyboard.press(key);
         await laidOut();
         expect(await faultsOfLayout(page), `${view} ${key}`).toEqual([]);
       }
       await page.waitForTimeout(400);
       await page.screenshot({ path: name(`${view}-all`) });
-      for (const key of ["Shift+P", "c", "p"]) await page.keyboard.press(key);
+      // Three more colours, and three more planes, are none again.
+      const off = ["Escape", ...Array.from({ length: 3 }, () => ["Shift+C", "Shift+X"]).flat()];
+      for (const key of [...off, "Shift+P", "c", "p"]) await page.keyboard.press(key);
     }
     await page.keyboard.press("h");
     const help = (await page.locator(".help-page").boundingBox())!;
     expect(help.x >= 0 && help.y >= 0 && help.x + help.width <= width && help.y + help.height <= height).toBe(true);
     await page.screenshot({ path: name("help") });
+    await page.keyboard.press("Escape");
+    await page.keyboard.press("Shift+D");
+    const devices = (await page.locator(".devices-page").boundingBox())!;
+    expect(devices.x >= 0 && devices.y >= 0 && devices.x + devices.width <= width && devices.y + devices.height <= height).toBe(true);
+    await page.screenshot({ path: name("devices") });
     expect(problems.filter((problem) => problem !== MESSAGE && !problem.includes(MESSAGE))).toEqual([]);
   });
 

@@ -9,7 +9,7 @@ export const SIZES = [
 ] as const;
 
 const PARTS = [
-  "#panel", "#task", "#contacts", "#messages .message", "#bodies", "#profiler", "#outside", "#orientation", "#hint", "#banner", "#toolbar .button-group",
+  "#panel", "#task", "#contacts", "#messages .message", "#bodies", "#turning", "#inside", "#profiler", "#outside", "#orientation", "#hint", "#banner", "#toolbar .button-group",
 ];
 
 /** What is wrong with the layout, in words: parts that lie over each other, that reach out of the page, or whose words are cut off. */

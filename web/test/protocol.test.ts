@@ -41,7 +41,7 @@ const SNAPSHOT: Snapshot = {
     },
     contactPoints: null,
     threads: [],
-      inside: null,
+    inside: null,
     tools: [
       {
         tip_m: [0.01, -0.02, 0.03],

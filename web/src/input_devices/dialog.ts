@@ -22,7 +22,7 @@ export class Devices {
   pads: PadMappings;
   pedals: Pedals;
   private readonly root = element("div", "overlay devices");
-  private readonly page = element("div", "help-page");
+  private readonly page = element("div", "devices-page");
   private cards: PadCard[] = [];
   private waitsForPedal = false;
   private focusedBefore: Element | null = null;

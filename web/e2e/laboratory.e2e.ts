@@ -126,6 +126,7 @@ describe.skipIf(PROGRAM === undefined)("the laboratory", () => {
     const dialog = page.getByRole("dialog", { name: "Input devices" });
     const card = (name: string) => dialog.locator(".devices-card", { hasText: name });
     await card("Right pad").getByLabel("Moves", { exact: true }).selectOption("1");
+    expect(await dialog.locator(".devices-table tr", { hasText: "2: hook" }).textContent()).toContain("Right pad");
     const before = await tips();
     const push = (on: number) =>
       page.evaluate((x) => {

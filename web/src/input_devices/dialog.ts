@@ -24,6 +24,7 @@ export class Devices {
   private readonly root = element("div", "overlay devices");
   private readonly page = element("div", "devices-page");
   private cards: PadCard[] = [];
+  private table: HTMLElement = element("table");
   private waitsForPedal = false;
   private focusedBefore: Element | null = null;
   private shown = "";
@@ -87,12 +88,14 @@ export class Devices {
   }
 
   private build(pads: readonly Gamepad[]): void {
-    const focused = document.activeElement?.getAttribute("aria-label");
+    const focusable = (): HTMLElement[] => [...this.page.querySelectorAll<HTMLElement>("input, select, button")];
+    const focused = focusable().indexOf(document.activeElement as HTMLElement);
     this.cards = pads.map(
       (pad) =>
         new PadCard(pad.id, stateOf(pad), this.pads[pad.id] ?? USUAL_PAD, this.names, (mapping) => {
           this.pads = { ...this.pads, [pad.id]: mapping };
           keepSettings({ pads: this.pads });
+          this.table.replaceWith((this.table = this.instruments()));
         }),
     );
     const cards = element("div", "devices-cards");
@@ -101,7 +104,7 @@ export class Devices {
     this.page.replaceChildren(
       element("h1", "", text("devices_title")),
       element("h2", "", text("devices_instruments")),
-      this.instruments(),
+      (this.table = this.instruments()),
       element("h2", "", text("devices_pads")),
       cards,
       element("h2", "", text("devices_pedals")),
@@ -110,7 +113,7 @@ export class Devices {
       pressButton(text("devices_close"), () => (this.open = false)),
     );
     // What is built anew keeps the focus.
-    if (focused != null) this.page.querySelector<HTMLElement>(`[aria-label="${CSS.escape(focused)}"]`)?.focus();
+    if (focused >= 0) (focusable()[focused] ?? this.page).focus();
   }
 
   /** Which device or page has each instrument. */

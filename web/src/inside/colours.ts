@@ -21,11 +21,14 @@ export function colourInto(share: number, out: Float32Array, at: number): void {
   }
 }
 
+/** This share of the vertices is below the scale's end: a tip presses on so few that all others would be dark. A choice. */
+const BELOW_END = 0.98;
+
 /** What is left of the greatest value from one snapshot to the next: half of it after two seconds. */
 const FADES_BY = 0.994;
 const LEAST: Readonly<Record<FieldKind, number>> = { none: 1, strain: 0.01, stress: 10, quality: 1 };
 
-/** The upper end of the scale: round, never below what is shown, lower again some seconds later. */
+/** The upper end of the scale: round, above nearly all that is shown, lower again some seconds later. */
 export class Range {
   private largest = 0;
   private field: FieldKind = "none";
@@ -33,7 +36,9 @@ export class Range {
   take(field: FieldKind, values: Float32Array): number {
     if (field !== this.field) this.largest = 0;
     this.field = field;
-    this.largest = values.reduce((most, value) => Math.max(most, value), this.largest * FADES_BY);
+    const sorted = values.slice().sort();
+    const high = sorted[Math.floor(BELOW_END * (sorted.length - 1))] ?? 0;
+    this.largest = Math.max(high, this.largest * FADES_BY);
     return field === "quality" ? 1 : niceCeiling(this.largest, LEAST[field]);
   }
 }

@@ -129,7 +129,7 @@ export class Inside {
   /** The legend, with the scale's ends as they are now. */
   showScale(): void {
     this.scale.hidden = this.field === "none";
-    const ends = [0, 0.5, 1].map((share) => valueText(this.field, share * this.picture.top)).join("|");
+    const ends = [0, 0.5, 1].map((share) => (share === 1 && this.field !== "quality" ? "≥ " : "") + valueText(this.field, share * this.picture.top)).join("|");
     if (this.scale.hidden || this.scale.dataset.ends === ends) return;
     this.scale.dataset.ends = ends;
     const bar = document.createElement("div");

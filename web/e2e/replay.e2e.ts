@@ -191,6 +191,16 @@ describe(`the player of ${given ?? "the fixture"}`, () => {
     allIsWell();
   });
 
+  it("speaks French where the browser keeps that it should", async () => {
+    await page.keyboard.press("h");
+    await page.getByLabel("Language").selectOption("fr");
+    await page.getByRole("button", { name: "Plus lent" }).waitFor();
+    expect(await page.locator("html").getAttribute("lang")).toBe("fr");
+    await page.screenshot({ path: resultFile("replay-french.png") });
+    allIsWell();
+    await page.evaluate(() => localStorage.clear());
+  });
+
   it("says what is wrong with a page that has no recording", async () => {
     const empty = resultFile("replay-empty.html");
     writeFileSync(empty, readFileSync(`${DIST}/replay.html`));

@@ -2,7 +2,7 @@
  * The page that one begins with: a click makes a task, the viewer shows its organ at the same address, and a key leads back.
  * The program is in GLISSON_PROGRAM.
  */
-import { spawn, type ChildProcess } from "node:child_process";
+import { spawn, spawnSync, type ChildProcess } from "node:child_process";
 import { existsSync, mkdtempSync, readdirSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
@@ -35,8 +35,8 @@ home_shaft = [0, -1, 0]
 const BAD_SCENE = "glisson_scene = 1\n[organ]\ntisue = \"liver\"\n";
 
 /** The program in a folder of its own; its address when it answers. */
-async function serve(folder: string): Promise<{ program: ChildProcess; url: string }> {
-  const child = spawn(program!, ["start", "--no-open", "--port", "0"], { cwd: folder });
+async function serve(folder: string, ...options: string[]): Promise<{ program: ChildProcess; url: string }> {
+  const child = spawn(program!, ["start", "--no-open", "--port", "0", ...options], { cwd: folder });
   return new Promise((resolve, reject) => {
     let text = "";
     const hear = (data: Buffer): void => {
@@ -203,6 +203,28 @@ describe.skipIf(program === undefined)("the start page", () => {
     expect(faults()).toEqual([]);
   });
 
+  it("stores the results of a person, whose instrument a device holds", async () => {
+    const task = '[task]\ntitle = "wave"\n[[task.stage]]\ntitle = "touch"\ntouch = {}\n';
+    writeFileSync(join(folder, "wave.toml"), BLOCK.replace("[organ]\n", `${task}[organ]\n`));
+    const own = await serve(folder, "--person", "Ada", "--database", "results.sqlite", "--device", "simulated");
+    await page.goto(own.url);
+    await page.locator("#scenes li", { hasText: "wave" }).getByRole("button", { name: /^Start/ }).click();
+    await waitForOrgan(page);
+    await page.keyboard.press("Shift+D");
+    await page.locator(".devices-table", { hasText: /device: .*simulated/ }).waitFor();
+    await page.keyboard.press("Escape");
+    // The simulated hand goes to and fro.
+    await page.waitForFunction(() => window.glisson!.header!.time_s > 1.5, undefined, { timeout: 60_000 });
+    await goBack();
+    own.program.removeAllListeners("exit");
+    const ended = new Promise((resolve) => own.program.once("exit", resolve));
+    own.program.kill("SIGINT");
+    await ended;
+    const { stdout } = spawnSync(program!, ["results", "list", "--database", "results.sqlite"], { cwd: folder, encoding: "utf8" });
+    expect(stdout).toMatch(/Ada\s.*wave|wave\s.*Ada/);
+    expect(faults()).toEqual([]);
+  });
+
   it("leads to a new patient, and back", async () => {
     await page.getByRole("button", { name: "Bring in a patient" }).click();
     await page.getByRole("heading", { name: "A new patient" }).waitFor();
@@ -225,6 +247,12 @@ describe.skipIf(program === undefined)("the start page", () => {
     await page.screenshot({ path: resultFile("start-french.png") });
     await page.reload();
     await page.getByRole("heading", { level: 1, name: "Que voulez-vous faire ?" }).waitFor();
+    await page.getByRole("button", { name: "Préparer un patient" }).click();
+    await page.getByRole("heading", { level: 1, name: "Un nouveau patient" }).waitFor();
+    await page.locator("#status", { hasText: "en attente d'une image" }).waitFor();
+    await page.screenshot({ path: resultFile("patient-french.png") });
+    await page.getByRole("button", { name: "Retour à la page d'accueil" }).click();
+    await page.getByRole("heading", { level: 1, name: "Que voulez-vous faire ?" }).waitFor({ timeout: 30_000 });
     expect(faults()).toEqual([]);
   });
 

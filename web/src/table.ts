@@ -27,15 +27,18 @@ export class Table {
     return turnedAboutLongAxis(level_m_per_s2, -this.strides * STRIDE_RAD);
   }
 
-  /** One stride more: the server is told, or the page why not. */
+  /** One stride more: the server is told, or the page why not. Gravity keeps its size, which may have been turned. */
   press(
     direction: 1 | -1,
     hello: Hello | null,
     server: { send(message: ClientMessage): boolean },
     page: { error(message: string): void },
+    size_m_per_s2: number | null = null,
   ): void {
     if (hello === null) return;
-    const m_per_s2 = this.tilt(hello.scene.gravity_m_per_s2, direction);
+    const level = hello.scene.gravity_m_per_s2;
+    const share = size_m_per_s2 === null ? 1 : size_m_per_s2 / Math.max(Math.hypot(...level), Number.MIN_VALUE);
+    const m_per_s2 = this.tilt([level[0] * share, level[1] * share, level[2] * share], direction);
     if (m_per_s2 !== null) server.send({ type: "gravity", m_per_s2 });
     else page.error(text("no_gravity"));
   }

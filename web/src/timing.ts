@@ -259,6 +259,11 @@ export class LoopNews {
     private readonly felt: (feel: Feel) => void,
   ) {}
 
+  /** Size of gravity, which may have been turned; null until the server told it. */
+  get gravity_m_per_s2(): number | null {
+    return this.parameters?.parameters.find(({ name }) => name === "gravity")?.value ?? null;
+  }
+
   /** How strongly a gamepad shakes that moves this instrument, 0 to 1; only the page in control holds one. */
   rumble(tool: number): number {
     const isOurs = this.role?.role === "controller" || this.role?.instruments[tool] === "this";

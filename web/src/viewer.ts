@@ -233,7 +233,7 @@ export class Viewer {
         break;
       case "tilt_left":
       case "tilt_right":
-        this.table.press(action === "tilt_left" ? 1 : -1, this.hello, this.connection, this.messages);
+        this.table.press(action === "tilt_left" ? 1 : -1, this.hello, this.connection, this.messages, this.news.gravity_m_per_s2);
         break;
       case "reset_view":
         this.scene.resetView();

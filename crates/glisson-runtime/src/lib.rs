@@ -39,4 +39,4 @@ pub mod devices;
 pub mod tasks;
 
 pub use incidents::Notice;
-pub use simulation::{Broken, OpenScene, ParameterState, Parameters, Simulation};
+pub use simulation::{Broken, OpenScene, ParameterState, Parameters, Simulation, Turn};

@@ -8,14 +8,13 @@ use crate::pace::Pace;
 use crate::pace::{FRAME, StepMeters, StepTimes};
 use crate::published::{Lateness, Published};
 use crate::realtime::now_ns;
-use crate::simulation::{Broken, Simulation, panic_text};
+use crate::simulation::{Broken, Simulation, Turn, panic_text};
 use anyhow::Context;
 use glisson::haptics::InsertedInstrument;
 use glisson::math::DVec3;
 use glisson::model::LevelOfDetail;
 use glisson::model::StateHash;
 use glisson::model::kind::ModelKind;
-use glisson::record::parameter::Parameter;
 use glisson::tool::external_detection::ExternalDetection;
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::StepInput;
@@ -49,14 +48,7 @@ pub enum Command {
     /// The table is tilted: gravity from now on [m/s2].
     Gravity(DVec3),
     /// A number of the scene is turned.
-    Turn {
-        /// Of which body; 0 for what is of no body.
-        body: usize,
-        /// Which one.
-        parameter: Parameter,
-        /// To what, in SI.
-        value: f64,
-    },
+    Turn(Turn),
     /// What the tip of an instrument touches is cut away.
     Cut {
         /// Its number.
@@ -375,8 +367,8 @@ impl Live {
                 return Ok(true);
             }
             Command::Gravity(gravity_m_per_s2) => self.simulation.set_gravity(gravity_m_per_s2)?,
-            Command::Turn { body, parameter, value } => {
-                self.simulation.turn(body, parameter, value, None)?;
+            Command::Turn(turn) => {
+                self.simulation.turn(turn, None)?;
                 return Ok(true);
             }
             Command::Stop => {}

@@ -1,7 +1,7 @@
 //! Replays a session and says whether it made the same bits.
 
 use crate::account::Account;
-use crate::{OpenScene, Simulation};
+use crate::{OpenScene, Simulation, Turn};
 use anyhow::{Context, anyhow, bail, ensure};
 use glisson::mesh::refine::FineRegion;
 use glisson::model::StateHash;
@@ -108,7 +108,8 @@ pub fn replay(
             SessionEvent::Remove { ref tets, .. } => simulation.remove_tetrahedra(tets.clone())?,
             SessionEvent::QueueModelSwap { at_step, model, .. } => simulation.order_model(model, at_step)?,
             SessionEvent::Turn { at_step, body, parameter, value, .. } => {
-                simulation.turn(usize::from(body), parameter, value, Some(at_step))?;
+                let turn = Turn { body: usize::from(body), parameter, value };
+                simulation.turn(turn, Some(at_step))?;
             }
             SessionEvent::Checkpoint { step, state_hash } => {
                 report.checkpoints += 1;

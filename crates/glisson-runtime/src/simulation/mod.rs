@@ -7,7 +7,7 @@ mod turning;
 
 pub use guard::Broken;
 pub(crate) use guard::panic_text;
-pub use turning::{ParameterState, Parameters};
+pub use turning::{ParameterState, Parameters, Turn};
 
 use crate::incidents::{Incidents, Notice, Notices, Once};
 use crate::recorder::Recorder;

@@ -25,6 +25,17 @@ pub(super) struct Turned {
     pub(super) at_step: u64,
 }
 
+/// A parameter that is turned.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Turn {
+    /// Of which body; 0 for what is of no body.
+    pub body: usize,
+    /// Which one.
+    pub parameter: Parameter,
+    /// To what, in SI.
+    pub value: f64,
+}
+
 /// How a parameter stands.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ParameterState {
@@ -73,23 +84,12 @@ impl Simulation {
     }
 
     /// Turns a parameter, or tells why not. In a replay the session says at which step it holds.
-    pub(crate) fn turn(
-        &mut self,
-        body: usize,
-        parameter: Parameter,
-        value: f64,
-        at_step: Option<u64>,
-    ) -> anyhow::Result<()> {
-        self.guarded(|simulation| simulation.turn_now(body, parameter, value, at_step))
+    pub(crate) fn turn(&mut self, turn: Turn, at_step: Option<u64>) -> anyhow::Result<()> {
+        self.guarded(|simulation| simulation.turn_now(turn, at_step))
     }
 
-    fn turn_now(
-        &mut self,
-        body: usize,
-        parameter: Parameter,
-        value: f64,
-        at_step: Option<u64>,
-    ) -> anyhow::Result<()> {
+    fn turn_now(&mut self, turn: Turn, at_step: Option<u64>) -> anyhow::Result<()> {
+        let Turn { body, parameter, value } = turn;
         let refuse = |simulation: &mut Self, reason: String| {
             simulation.tell(format!("{parameter} was not turned: {reason}"));
             Ok(())
@@ -350,6 +350,10 @@ mod tests {
         simulation.world().report().tools[0].force_on_tool_n.length()
     }
 
+    fn to(body: usize, parameter: Parameter, value: f64) -> Turn {
+        Turn { body, parameter, value }
+    }
+
     /// The models that need no measured curves.
     fn models() -> impl Iterator<Item = ModelKind> {
         ModelKind::ALL.into_iter().filter(|kind| !kind.row().follows_curves)
@@ -362,7 +366,7 @@ mod tests {
             let mut simulation = open(&scene(kind), folder.path());
             let before_n = force_n(&mut simulation, 800);
             let step = simulation.world().steps_made();
-            simulation.turn(0, Parameter::YoungModulus, 2_500.0, Some(step + 10)).unwrap();
+            simulation.turn(to(0, Parameter::YoungModulus, 2_500.0), Some(step + 10)).unwrap();
             let coming = simulation.parameters().list[0].clone();
             assert_eq!((coming.value, coming.of_scene, coming.coming), (5_000.0, 5_000.0, Some(2_500.0)));
             let after_n = force_n(&mut simulation, 800);
@@ -373,7 +377,7 @@ mod tests {
             // Half as stiff; springs and non-linear laws in proportion, too, but for how fast they settle.
             let share = after_n / before_n;
             assert!((0.42..0.58).contains(&share), "{kind}: {before_n} N, then {after_n} N");
-            simulation.turn(0, Parameter::HandGreatestForce, 0.05, None).unwrap();
+            simulation.turn(to(0, Parameter::HandGreatestForce, 0.05), None).unwrap();
             let given_way_n = force_n(&mut simulation, 200);
             assert!(given_way_n < 0.051, "{kind}: {given_way_n} N");
             let hash = simulation.finish().unwrap();
@@ -389,7 +393,7 @@ mod tests {
             let before = simulation.parameters().list[0].value;
             let step = simulation.world().steps_made();
             // Ten thousand times as stiff as soft tissue: explicit steps of 1 ms are far too long.
-            simulation.turn(0, Parameter::YoungModulus, 1e7, Some(step + 5)).unwrap();
+            simulation.turn(to(0, Parameter::YoungModulus, 1e7), Some(step + 5)).unwrap();
             let calm_n = force_n(&mut simulation, 30);
             assert!(calm_n.is_finite() && simulation.broken().is_none(), "{kind}");
             let refused = kind.row().motion == ModelMotion::Explicit;
@@ -415,7 +419,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut simulation = open(&scene(ModelKind::Implicit), folder.path());
         force_n(&mut simulation, 50);
-        simulation.turn(0, Parameter::MassDamping, 90.0, Some(60)).unwrap();
+        simulation.turn(to(0, Parameter::MassDamping, 90.0), Some(60)).unwrap();
         simulation.remove_tetrahedra(vec![TetId(0)]).unwrap();
         force_n(&mut simulation, 5);
         simulation.undo_edit().unwrap();
@@ -425,7 +429,7 @@ mod tests {
         };
         assert_eq!(damping(&simulation), 90.0);
         simulation.remove_tetrahedra(vec![TetId(1)]).unwrap();
-        simulation.turn(0, Parameter::YoungModulus, 8_000.0, Some(90)).unwrap();
+        simulation.turn(to(0, Parameter::YoungModulus, 8_000.0), Some(90)).unwrap();
         force_n(&mut simulation, 60);
         simulation.reset().unwrap();
         force_n(&mut simulation, 60);
@@ -440,7 +444,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut simulation = open(&scene(ModelKind::Implicit), folder.path());
         force_n(&mut simulation, 100);
-        simulation.turn(0, Parameter::TimeStep, 0.005, Some(150)).unwrap();
+        simulation.turn(to(0, Parameter::TimeStep, 0.005), Some(150)).unwrap();
         force_n(&mut simulation, 70);
         assert_eq!(simulation.world().spec().time_step_s, 0.005);
         assert!((simulation.world().time_s() - (0.150 + 20.0 * 0.005)).abs() < 1e-12);
@@ -459,9 +463,9 @@ mod tests {
             [tool]\ntip_radius = \"5 mm\"\nhome_tip = [\"20 mm\", \"15 mm\", \"40 mm\"]\nhome_shaft = [0, 0, 1]\n";
         let folder = tempfile::tempdir().unwrap();
         let mut simulation = open(text, folder.path());
-        simulation.turn(1, Parameter::YoungModulus, 6_000.0, Some(5)).unwrap();
-        simulation.turn(7, Parameter::YoungModulus, 6_000.0, Some(5)).unwrap();
-        simulation.turn(0, Parameter::PoissonRatio, 0.5, Some(5)).unwrap();
+        simulation.turn(to(1, Parameter::YoungModulus, 6_000.0), Some(5)).unwrap();
+        simulation.turn(to(7, Parameter::YoungModulus, 6_000.0), Some(5)).unwrap();
+        simulation.turn(to(0, Parameter::PoissonRatio, 0.5), Some(5)).unwrap();
         force_n(&mut simulation, 10);
         let young: Vec<f64> = simulation.parameters().list.iter().take(2).map(|state| state.value).collect();
         assert_eq!(young[1], 6_000.0);
@@ -479,7 +483,7 @@ mod tests {
         let text = scene(ModelKind::Implicit)
             + "[task]\ntitle = \"t\"\n[[task.stage]]\ntitle = \"touch\"\ntouch = {}\n";
         let mut simulation = open(&text, folder.path());
-        simulation.turn(0, Parameter::HandStiffness, 100.0, None).unwrap();
+        simulation.turn(to(0, Parameter::HandStiffness, 100.0), None).unwrap();
         assert!(simulation.notices()[0].text.contains("a task is measured"), "{:?}", simulation.notices());
         assert!(simulation.parameters().list.iter().all(|state| state.refusal.is_some()));
     }

@@ -15,7 +15,7 @@ use glisson_runtime::devices::viewer::GREATEST_FORCE_N;
 use glisson_runtime::haptic_loop::{HapticReport, ToolLink};
 use glisson_runtime::live::Command;
 use glisson_runtime::published::Published;
-use glisson_runtime::{Notice, ParameterState, Parameters, Simulation};
+use glisson_runtime::{Notice, ParameterState, Parameters, Simulation, Turn};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -411,7 +411,7 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
         ViewerMessage::Leave {} => return Ok(Wish::Leave),
         ViewerMessage::Offer { tool, offered } => return Ok(Wish::Offer { tool, is_offered: offered }),
         ViewerMessage::Hold { tool, held } => return Ok(Wish::Hold { tool, is_held: held }),
-        ViewerMessage::Turn { body, parameter, value } => Command::Turn { body, parameter, value },
+        ViewerMessage::Turn { body, parameter, value } => Command::Turn(Turn { body, parameter, value }),
         ViewerMessage::Inside { field, plane, energies } => {
             let plane = plane.map(PlaneMessage::plane).transpose()?;
             return Ok(Wish::Inside(Look { field: field.into(), plane, energies }));

@@ -104,6 +104,11 @@ describe.skipIf(PROGRAM === undefined)("the laboratory", () => {
     expect(await page.locator("#inside .inside-scale span").count()).toBe(3);
     await page.keyboard.press("PageDown");
     await page.screenshot({ path: resultFile("inside.png") });
+    const slider = page.getByLabel("Place of the cut plane");
+    await slider.focus();
+    const place = await slider.inputValue();
+    await page.keyboard.press("ArrowRight");
+    expect(Number(await slider.inputValue())).toBeGreaterThan(Number(place));
     for (let i = 0; i < 2; i++) await page.keyboard.press("Shift+X");
     for (let i = 0; i < 2; i++) await page.keyboard.press("Shift+C");
     await until(() => page.evaluate(() => window.glisson!.header!.inside === null));

@@ -107,10 +107,21 @@ export interface KeyPress {
   readonly repeat: boolean;
 }
 
+/** Keys that move a slider or tick a box. */
+const OF_SLIDERS = /^( |Arrow.*|Home|End|Page.*)$/;
+
 /** Whether a key press is for the part of the page that has the focus: it presses a button, or chooses from a list. */
 export function isForPart({ target, key }: Pick<KeyboardEvent, "target" | "key">): boolean {
-  if (target instanceof HTMLSelectElement || target instanceof HTMLInputElement) return key !== "Escape";
+  const isTyped = target instanceof HTMLInputElement && target.inputMode === "decimal";
+  if (target instanceof HTMLSelectElement || isTyped) return key !== "Escape";
+  if (target instanceof HTMLInputElement) return OF_SLIDERS.test(key);
   return target instanceof HTMLButtonElement && (key === " " || key === "Enter");
+}
+
+/** The keyboard goes back to where it was before something was opened, at once, and not when what was closed is found to be hidden. */
+export function giveFocusBack(to: Element | null): void {
+  if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
+  if (to instanceof HTMLElement) to.focus();
 }
 
 /** The viewer's action of a key press, or null. */

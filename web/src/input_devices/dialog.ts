@@ -3,6 +3,7 @@
  * what they say at the moment; and which instruments another machine has. While it is open, gamepads and pedals move nothing.
  */
 import { connectedPads, stateOf } from "../gamepad";
+import { giveFocusBack } from "../keys";
 import { text } from "../language";
 import type { ClientMessage, Hello } from "../protocol";
 import { keepSettings, readSettings } from "../settings";
@@ -56,6 +57,8 @@ export class Devices {
   set open(open: boolean) {
     if (open === this.open) return;
     this.root.hidden = !open;
+    // The keyboard stays in the page while it is open.
+    for (const id of ["frame", "scene"]) document.getElementById(id)?.toggleAttribute("inert", open);
     this.waitsForPedal = false;
     this.opened(open);
     if (open) {
@@ -63,8 +66,8 @@ export class Devices {
       this.shown = "";
       this.look();
       this.page.focus();
-    } else if (this.focusedBefore instanceof HTMLElement) {
-      this.focusedBefore.focus();
+    } else {
+      giveFocusBack(this.focusedBefore);
     }
   }
 

@@ -1,4 +1,5 @@
 /** The list of what can be turned while the simulation runs: a field for each, with its unit, what the scene says, and why it cannot be. */
+import { giveFocusBack } from "../keys";
 import { text } from "../language";
 import type { ClientMessage } from "../protocol";
 import { shownValue, steppedValue, typedValue, unitOf, type Parameters, type ParameterState } from "./parameters";
@@ -44,8 +45,8 @@ export class Turning {
     if (open) {
       this.focusedBefore = document.activeElement;
       [...this.rows.values()].find(({ field }) => !field.disabled)?.field.focus();
-    } else if (this.focusedBefore instanceof HTMLElement) {
-      this.focusedBefore.focus();
+    } else {
+      giveFocusBack(this.focusedBefore);
     }
   }
 

@@ -227,9 +227,10 @@ fn tasks(chromium: &Path) -> anyhow::Result<()> {
     browser_test("test:tasks", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
 }
 
-/// The page that one begins with: to a task, to a new patient, and back.
+/// The page that one begins with: to a task, to a new patient, and back; and what a laboratory has beside the picture.
 fn start(chromium: &Path) -> anyhow::Result<()> {
-    browser_test("test:start", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
+    browser_test("test:start", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())?;
+    browser_test("test:laboratory", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
 }
 
 /// Runs a browser test that needs to know one thing.

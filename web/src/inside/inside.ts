@@ -3,6 +3,7 @@ import type { Connection } from "../connection";
 import { text } from "../language";
 import type { Hello } from "../protocol";
 import { keepSettings, readSettings } from "../settings";
+import type { TextKey } from "../texts_en";
 import { SCALE, valueText } from "./colours";
 import type { InsidePicture } from "./picture";
 import { AXES, cutPlane, thickness_m, type CutPlane, type PlaneAxis } from "./plane";
@@ -14,7 +15,7 @@ const STRIDE_M = 0.002;
 function choice<T extends string>(name: "field" | "plane", all: readonly T[], chosen: (value: T) => void): HTMLSelectElement {
   const select = document.createElement("select");
   select.setAttribute("aria-label", text(`inside_${name}`));
-  for (const value of all) select.append(new Option(text(`inside_${name}_${value}` as Parameters<typeof text>[0]), value));
+  for (const value of all) select.append(new Option(text(`inside_${name}_${value}` as TextKey), value));
   select.addEventListener("change", () => chosen(select.value as T));
   return select;
 }

@@ -183,6 +183,7 @@ uniform vec3 colour;
 uniform float metal;
 uniform float softness;
 uniform float bandSpacing;
+uniform vec3 bandColour;
 uniform float glow;
 varying vec3 vViewNormal;
 varying vec3 vViewPosition;
@@ -204,7 +205,7 @@ void main() {
     // Each fifth mark is broader.
     float broader = step(abs(fract(place / 5.0 + 0.5) - 0.5) * 5.0, 0.5);
     float mark = 1.0 - smoothstep(0.0, 0.0002, along - 0.00025 - 0.0007 * broader);
-    tint *= 1.0 - 0.82 * mark;
+    tint = mix(tint, bandColour, 0.85 * mark);
     soft += 0.25 * mark;
   }
 #ifdef IN_LAMP
@@ -245,8 +246,8 @@ export interface SolidLook {
   readonly metal: number;
   /** Blur of what it mirrors, 0.03 (polished) to 0.6. */
   readonly softness: number;
-  /** Distance of depth marks along local z [m]; 0 = none. */
-  readonly bandSpacing_m?: number;
+  /** Depth marks along local z. */
+  readonly bands?: { readonly spacing_m: number; readonly colour: number };
   /** Own light, as a share of the colour. */
   readonly glow?: number;
 }
@@ -259,7 +260,8 @@ export function solidMaterial(look: SolidLook): ShaderMaterial {
       colour: { value: new Color(look.colour) },
       metal: { value: look.metal },
       softness: { value: look.softness },
-      bandSpacing: { value: look.bandSpacing_m ?? 0 },
+      bandSpacing: { value: look.bands?.spacing_m ?? 0 },
+      bandColour: { value: new Color(look.bands?.colour ?? 0) },
       glow: { value: look.glow ?? 0 },
     },
   });

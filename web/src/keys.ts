@@ -18,6 +18,7 @@ export type Action =
   | "theatre"
   | "wipe"
   | "outside"
+  | "detail"
   | "panel"
   | "plot"
   | "screenshot"
@@ -103,6 +104,7 @@ export const BINDINGS: readonly Binding[] = [
   own("view", "theatre", "N", plain("n")),
   own("view", "wipe", "D", plain("d")),
   own("view", "outside", "Shift N", [{ key: "n", shift: true }]),
+  own("view", "detail", "Shift T", [{ key: "t", shift: true }]),
   own("instrument", "tool_place", "G", plain("g")),
   own("instrument", "tool_left", "J", both("j"), true),
   own("instrument", "tool_right", "L", both("l"), true),

@@ -1,6 +1,7 @@
 /** What of the viewer is switched on, and kept for the next time: the look of the organ, what is drawn with it, panel and plot. */
 import type { Connection } from "./connection";
 import type { Contacts } from "./contacts";
+import { nextDetail, type DetailChoice } from "./detail";
 import type { Action } from "./keys";
 import { text } from "./language";
 import { SURFACE_STYLES } from "./organ";
@@ -13,12 +14,14 @@ import type { Theatre } from "./theatre/view";
 /** On a narrower page the panel begins with the force alone [CSS pixels]. */
 const NARROW_PX = 560;
 
-export type Switch = "wireframe" | "contacts" | "forces" | "fixed_nodes" | "profiler" | "panel" | "plot";
+export type Switch = "wireframe" | "contacts" | "forces" | "fixed_nodes" | "profiler" | "panel" | "plot" | "detail";
 
 type Shown = { -readonly [name in keyof ShownParts]: ShownParts[name] };
 
 export class Looks {
   readonly shown: Shown;
+  /** How much is drawn, as it was chosen. */
+  private detail: DetailChoice;
   /** The panel was never asked for: it is open where there is room. */
   private panelIsUsual: boolean;
   private readonly panelSwitch = document.createElement("button");
@@ -31,8 +34,10 @@ export class Looks {
     private readonly theatre: Theatre,
     private readonly contacts: Contacts,
     run: (action: Action) => void,
+    private readonly tell: (words: string) => void,
   ) {
-    const { style, contacts: hasContacts, forces, fixedNodes, profiler, panel: isOpen, plot, theatre: on, outside } = readSettings();
+    const { style, contacts: hasContacts, forces, fixedNodes, profiler, panel: isOpen, plot, theatre: on, outside, detail } = readSettings();
+    this.detail = detail;
     this.shown = { style, contacts: hasContacts, forces, fixedNodes, profiler, panel: isOpen ?? true, plot };
     this.panelIsUsual = isOpen === null;
     theatre.beginsOn = on;
@@ -54,6 +59,7 @@ export class Looks {
   begin(connection: Connection): void {
     this.scene.setStyle(SURFACE_STYLES[this.shown.style]);
     this.scene.showFixed(this.shown.fixedNodes);
+    this.scene.setDetail(this.detail);
     if (this.shown.contacts) this.contacts.turn(true, connection);
     this.layOut();
   }
@@ -87,9 +93,14 @@ export class Looks {
       case "plot":
         shown.plot = !shown.plot;
         break;
+      case "detail":
+        this.detail = nextDetail(this.detail);
+        this.scene.setDetail(this.detail);
+        this.tell(text(`detail_${this.detail}`));
+        break;
     }
     this.layOut();
-    this.keep({ ...shown, panel: this.panelIsUsual ? null : shown.panel });
+    this.keep({ ...shown, detail: this.detail, panel: this.panelIsUsual ? null : shown.panel });
   }
 
   /** What the theatre view is now, as the user chose it. */

@@ -72,6 +72,10 @@ export function tissueTexture(size = 256): DataTexture {
       bytes[i + 3] = Math.round(255 * (0.7 * octave(x, y, 4, 6) + 0.3 * octave(x, y, 11, 7)));
     }
   }
+  return tiled(bytes, size);
+}
+
+function tiled(bytes: Uint8Array<ArrayBuffer>, size: number): DataTexture {
   const texture = new DataTexture(bytes, size, size, RGBAFormat, UnsignedByteType);
   texture.wrapS = RepeatWrapping;
   texture.wrapT = RepeatWrapping;
@@ -80,4 +84,47 @@ export function tissueTexture(size = 256): DataTexture {
   texture.generateMipmaps = true;
   texture.needsUpdate = true;
   return texture;
+}
+
+/** Distances to the nearest and the next of points of which each cell of a tileable lattice has one, in cells (S. Worley, "A cellular texture basis function", SIGGRAPH 1996). */
+function cellDistances(x: number, y: number, period: number, seed: number): [number, number] {
+  const [ix, iy] = [Math.floor(x), Math.floor(y)];
+  let [first, second] = [Infinity, Infinity];
+  for (let cy = iy - 1; cy <= iy + 1; cy++) {
+    for (let cx = ix - 1; cx <= ix + 1; cx++) {
+      const [tx, ty] = [(cx + period) % period, (cy + period) % period];
+      const distance = Math.hypot(cx + latticeValue(tx, ty, seed) - x, cy + latticeValue(tx, ty, seed + 1) - y);
+      if (distance < first) [first, second] = [distance, first];
+      else if (distance < second) second = distance;
+    }
+  }
+  return [first, second];
+}
+
+/** A square, tileable texture: red = a net of fine vessels, green = height of lobules (0 at their borders), blue and alpha = slope of that. */
+export function patternTexture(size = 256): DataTexture {
+  const cells = 11;
+  const height = new Float32Array(size * size);
+  const bytes = new Uint8Array(4 * size * size);
+  for (let y = 0; y < size; y++) {
+    for (let x = 0; x < size; x++) {
+      const at = y * size + x;
+      const warp = (seed: number): number => 0.5 * (tileableNoise((x * 23) / size, (y * 23) / size, 23, seed) - 0.5);
+      const [first, second] = cellDistances((x * cells) / size + warp(20), (y * cells) / size + warp(21), cells, 22);
+      height[at] = Math.min(1, 1.5 * (second - first));
+      // Where two noises of unlike size are half-way, there are lines that branch, some broader.
+      const line = (n: number, seed: number, width: number): number => Math.max(0, 1 - Math.abs(tileableNoise((x * n) / size, (y * n) / size, n, seed) - 0.5) / width);
+      bytes[4 * at] = Math.round(255 * Math.max(line(4, 31, 0.035), 0.8 * line(7, 32, 0.03), 0.6 * line(13, 33, 0.03)));
+      bytes[4 * at + 1] = Math.round(255 * height[at]);
+    }
+  }
+  const at = (x: number, y: number): number => height[((y + size) % size) * size + ((x + size) % size)];
+  const slope = (value: number): number => Math.round(Math.min(255, Math.max(0, 127.5 + 127.5 * 3 * value)));
+  for (let y = 0; y < size; y++) {
+    for (let x = 0; x < size; x++) {
+      bytes[4 * (y * size + x) + 2] = slope(at(x + 1, y) - at(x - 1, y));
+      bytes[4 * (y * size + x) + 3] = slope(at(x, y + 1) - at(x, y - 1));
+    }
+  }
+  return tiled(bytes, size);
 }

@@ -10,13 +10,16 @@ import {
   type ShaderMaterial,
 } from "three";
 import { BleedingMarks } from "./bleeding";
+import { OperatingField } from "./field/field";
 import { ContactMarks } from "./contact_marks";
+import { isFull, setFullDetail, type DetailChoice } from "./detail";
 import type { PushStart, Ray, ToolPose, ViewAxes } from "./drag";
 import type { Feel } from "./feel";
 import { pickTriangle, type Pick } from "./geometry";
 import { Instrument } from "./instrument";
-import { organMaterial } from "./materials";
-import { tissueTexture } from "./noise";
+import { patternTexture, tissueTexture } from "./noise";
+import { organMaterial } from "./tissue/material";
+import { looksOf } from "./tissue/looks";
 import { TaskMarks } from "./task_marks";
 import { ThreadMarks } from "./thread_marks";
 import { cameraPosition, FIELD_OF_VIEW_DEG, orbitThatShows, viewAxes, type Orbit } from "./orbit";
@@ -70,11 +73,14 @@ export class Scene3d {
   readonly contactMarks = new ContactMarks();
   readonly taskMarks = new TaskMarks();
   readonly scene = new Scene();
+  private readonly field = new OperatingField();
   private readonly bleeding = new BleedingMarks();
   private readonly threads = new ThreadMarks();
   /** Noise of what is made up of tissue. */
   readonly tissue = tissueTexture();
-  private readonly material: ShaderMaterial;
+  readonly patterns = patternTexture();
+  /** Of all tissue. */
+  readonly material: ShaderMaterial;
   private hello: Hello | null = null;
   private style: SurfaceStyle = "surface";
   private fixedShown = false;
@@ -97,7 +103,7 @@ export class Scene3d {
     this.renderer.toneMapping = ACESFilmicToneMapping;
     this.renderer.toneMappingExposure = 1.08;
     this.renderer.setClearColor(0x000000, 0);
-    this.material = organMaterial(this.tissue);
+    this.material = organMaterial(this.tissue, this.patterns);
     this.scene.add(this.bleeding.group, this.contactMarks.group, this.taskMarks.group, this.threads.group);
     this.camera.up.set(0, 0, 1);
     this.orbit = orbitThatShows(new Vector3(-0.1, -0.1, -0.1), new Vector3(0.1, 0.1, 0.1), 1);
@@ -169,6 +175,7 @@ export class Scene3d {
       organ.dispose();
     }
     this.organs.clear();
+    this.field.begin(hello);
     for (const instrument of this.instruments) {
       this.scene.remove(instrument.group);
       instrument.dispose();
@@ -186,11 +193,12 @@ export class Scene3d {
       this.scene.remove(old.group);
       old.dispose();
     }
-    const organ = new Organ(topology, new Set(this.hello?.fixed_nodes ?? []), this.material, this.hello?.bodies);
+    const organ = new Organ(topology, new Set(this.hello?.fixed_nodes ?? []), this.material, looksOf(this.hello?.bodies ?? [], this.hello?.scene.material ?? ""));
     organ.hide(this.hidden);
     organ.setStyle(this.style);
     organ.showFixed(this.fixedShown);
     this.organs.set(topology.organ, organ);
+    if (topology.organ === 0) this.field.adopt(organ);
     this.taskMarks.setTopology(topology);
     this.scene.add(organ.group);
   }
@@ -199,9 +207,10 @@ export class Scene3d {
   show(snapshot: Snapshot): "changed" | "same" | "other_topology" {
     const organ = this.organs.get(snapshot.header.organ);
     if (organ === undefined || organ.topology.version !== snapshot.header.version) return "other_topology";
-    if (!organ.show(snapshot)) return "same";
-    this.taskMarks.follow(organ.positions_m);
-    return "changed";
+    const moved = organ.show(snapshot);
+    if (moved) this.taskMarks.follow(organ.positions_m);
+    const lives = snapshot.header.organ === 0 && this.field.take(snapshot.header, organ);
+    return moved || lives ? "changed" : "same";
   }
 
   showTools(header: SnapshotHeader): void {
@@ -259,6 +268,10 @@ export class Scene3d {
   hide(hidden: ReadonlySet<number>): void {
     this.hidden = hidden;
     for (const organ of this.organs.values()) organ.hide(hidden);
+  }
+
+  setDetail(choice: DetailChoice): void {
+    setFullDetail(isFull(choice, this.software));
   }
 
   showFixed(shown: boolean): void {

@@ -1,5 +1,7 @@
 /** What the user chose, kept by the browser under one key. Storage that is broken, full or forbidden does no harm: then nothing is kept. */
 
+import { DETAIL_CHOICES, type DetailChoice } from "./detail";
+
 /** The number grows when what is kept is no longer understood. */
 export const SETTINGS_KEY = "glisson.settings.1";
 /** Surface, surface with edges, edges. */
@@ -21,6 +23,7 @@ export interface Settings {
   /** All measurements instead of the force alone; null until it was chosen: where there is room. */
   readonly panel: boolean | null;
   readonly plot: boolean;
+  readonly detail: DetailChoice;
 }
 
 export const USUAL: Settings = {
@@ -34,6 +37,7 @@ export const USUAL: Settings = {
   profiler: false,
   panel: null,
   plot: true,
+  detail: "auto",
 };
 
 export type Store = Pick<Storage, "getItem" | "setItem">;
@@ -61,7 +65,7 @@ export function settingsOf(text: string | null): Settings {
     const found = kept[name];
     return typeof found === "boolean" ? found : usual;
   };
-  const { language, style } = kept;
+  const { language, style, detail } = kept;
   return {
     language: language === "en" || language === "fr" ? language : null,
     style: typeof style === "number" && Number.isInteger(style) && style >= 0 && style < N_STYLES ? style : USUAL.style,
@@ -73,6 +77,7 @@ export function settingsOf(text: string | null): Settings {
     profiler: flag("profiler", USUAL.profiler),
     panel: flag("panel", USUAL.panel),
     plot: flag("plot", USUAL.plot),
+    detail: DETAIL_CHOICES.find((choice) => choice === detail) ?? USUAL.detail,
   };
 }
 

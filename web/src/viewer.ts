@@ -103,7 +103,7 @@ export class Viewer {
       notice: (words) => this.messages.notice(words),
       changed: () => this.refreshSwitches(),
     });
-    this.looks = new Looks(page.panel, this.panel, this.scene, this.theatre, this.contacts, (action) => this.run(action, false));
+    this.looks = new Looks(page.panel, this.panel, this.scene, this.theatre, this.contacts, (action) => this.run(action, false), (words) => this.messages.notice(words));
     this.looks.begin(this.connection);
     this.showProfiler();
     this.resize();
@@ -259,6 +259,7 @@ export class Viewer {
       case "profiler":
       case "panel":
       case "plot":
+      case "detail":
         this.looks.turn(action, this.connection);
         if (action === "profiler") this.showProfiler();
         break;

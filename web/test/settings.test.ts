@@ -22,6 +22,7 @@ const OTHER: Settings = {
   profiler: true,
   panel: false,
   plot: false,
+  detail: "low",
 };
 
 describe("what the user chose", () => {

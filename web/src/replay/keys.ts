@@ -5,7 +5,7 @@ import { bind, BINDINGS, plain, type Action, type Binding } from "../keys";
 export type PlayerAction =
   | "play" | "frame_back" | "frame_on" | "second_back" | "second_on" | "begin" | "end" | "slower" | "faster" | "moment_back" | "moment_on"
   | "reset_view" | "turn_left" | "turn_right" | "turn_up" | "turn_down" | "nearer" | "further" | "wireframe" | "forces" | "fixed_nodes"
-  | "bodies" | "theatre" | "wipe" | "outside" | "tool_1" | "tool_2" | "tool_3" | "tool_4" | "screenshot" | "help" | "leave";
+  | "bodies" | "theatre" | "wipe" | "outside" | "detail" | "tool_1" | "tool_2" | "tool_3" | "tool_4" | "screenshot" | "help" | "leave";
 
 /** `<` and `>` need Shift on most keyboards, and not on all. */
 const typed = (key: string) => [{ key, shift: false }, { key, shift: true }];
@@ -34,7 +34,7 @@ export const PLAYER_BINDINGS: ReadonlyArray<Binding<PlayerAction>> = [
   bind("View", "turn_down", "K", "downwards", plain("k"), true),
   bind("View", "nearer", "U", "nearer", plain("u"), true),
   bind("View", "further", "O", "further away", plain("o"), true),
-  ...asInViewer("wireframe", "forces", "fixed_nodes", "bodies", "theatre", "wipe", "outside"),
+  ...asInViewer("wireframe", "forces", "fixed_nodes", "bodies", "theatre", "wipe", "outside", "detail"),
   bind("Instrument", "tool_1", "1", "force of the first instrument (of several)", plain("1")),
   bind("Instrument", "tool_2", "2", "of the second", plain("2")),
   bind("Instrument", "tool_3", "3", "of the third", plain("3")),

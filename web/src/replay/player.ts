@@ -4,6 +4,8 @@ import { ButtonBar } from "../button_bar";
 import { Controls } from "../controls";
 import { actionIn, toolNumber } from "../keys";
 import { panned, turned, zoomed, type Orbit } from "../orbit";
+import { nextDetail, type DetailChoice } from "../detail";
+import { text } from "../language";
 import { drawOrientation } from "../orientation";
 import { SURFACE_STYLES } from "../organ";
 import { Help, helpOf, Messages, savePicture } from "../overlays";
@@ -68,7 +70,7 @@ export class Player {
   private sceneChanged = true;
   private frameAsked = false;
   private lastFrame_ms: number | null = null;
-  private readonly shown = { style: 0, forces: true, fixedNodes: false };
+  private readonly shown = { style: 0, forces: true, fixedNodes: false, detail: "auto" as DetailChoice };
 
   constructor(private readonly page: ReplayPage, private readonly recording: Recording) {
     this.hello = recording.helloAt(0);
@@ -76,6 +78,7 @@ export class Player {
     this.largest_n = this.hello.tools.map((_, tool) => recording.forces_n.reduce((max, forces) => Math.max(max, forces[tool] ?? 0), 0));
     this.messages = new Messages(page.messages);
     this.scene = new Scene3d(page.scene);
+    this.scene.setDetail(this.shown.detail);
     this.panel = new Panel(page.panel, false);
     this.help = new Help(document.body, [["Mouse", PLAYER_MOUSE], ...helpOf(PLAYER_BINDINGS)]);
     this.bodies = new BodyList(page.bodies, (hidden) => { this.scene.hide(hidden); this.redraw(); });
@@ -233,6 +236,11 @@ export class Player {
         break;
       case "wipe": this.theatre.smear = 0; break;
       case "outside": this.theatre.toggleOutside(); break;
+      case "detail":
+        this.shown.detail = nextDetail(this.shown.detail);
+        scene.setDetail(this.shown.detail);
+        this.messages.notice(text(`detail_${this.shown.detail}`));
+        break;
       case "screenshot": void savePicture(scene.picture(this.page.orientation), this.header?.step ?? 0, this.messages); break;
       case "help": this.help.open = !this.help.open; break;
       case "leave": this.help.open = false; break;

@@ -5,6 +5,7 @@
  * (GGX). What else shines is light that walls throw back, red. The looks are chosen by eye.
  */
 
+import { followsDetail } from "../detail";
 import { Mesh, ShaderMaterial, type Object3D, type ShaderMaterialParameters } from "three";
 
 /** Power of the lamp: irradiance at a metre. Shared by all materials. */
@@ -21,6 +22,7 @@ export function withLampTwin(parameters: ShaderMaterialParameters): ShaderMateri
   const material = new ShaderMaterial({ ...parameters, uniforms });
   const twin = new ShaderMaterial({ ...parameters, uniforms, defines: { IN_LAMP: "" } });
   twins.set(material, twin);
+  for (const either of [material, twin]) followsDetail(either);
   material.addEventListener("dispose", () => twin.dispose());
   return material;
 }

@@ -8,9 +8,10 @@ import { FIELD_OF_VIEW_DEG, viewAxes } from "../orbit";
 import type { Page } from "../page";
 import type { Hello, SnapshotHeader, ToolInfo } from "../protocol";
 import type { OtherView, Scene3d } from "../scene3d";
-import { newCavity, placeCavity } from "./cavity";
 import { eyeOf, type Eye } from "./endoscope";
 import { inLampLight, lampPower } from "./lamp";
+import { Scenery } from "./scenery";
+import { newWalls, placeWalls } from "./walls";
 import { isInCircle, LensPass, MOST_DISTORTION, rayThrough, seenAt, USUAL_DISTORTION, type Circle } from "./lens";
 
 /** Of the endoscope's camera [m]: tissue at the lens is seen, and the far side of an abdomen. */
@@ -22,7 +23,7 @@ const AT_LENS_M = 1.5e-3;
 const SMALLEST_RADIUS = 150;
 const RIM = 10;
 /** Irradiance of the organ at 10 cm, in the picture's own measure. */
-const EXPOSURE = 3.1;
+const EXPOSURE = 2.7;
 /** The camera makes up for a part of what distance takes, as cameras of endoscopes do: exponent of the distance, 2 for all of it. */
 const MADE_UP = 1.5;
 const NEAREST_EXPOSED_M = 0.005;
@@ -72,7 +73,8 @@ export class Theatre implements OtherView {
   private hello: Hello | null = null;
   private readonly camera = new PerspectiveCamera(70, 1, NEAR_M, FAR_M);
   private readonly outsideCamera = new PerspectiveCamera();
-  private readonly cavity: Mesh;
+  private readonly walls: Mesh;
+  private readonly scenery: Scenery;
   private readonly lens: LensPass;
   private readonly distortion = distortionOf(window.location.search);
 
@@ -81,8 +83,9 @@ export class Theatre implements OtherView {
     private readonly page: Pick<Page, "panel" | "toolbar" | "orientation" | "hint" | "outside"> & Partial<Pick<Page, "task">>,
   ) {
     this.lens = new LensPass(scene.software ? 0 : 4, this.distortion);
-    this.cavity = newCavity(scene.tissue);
-    scene.scene.add(this.cavity);
+    this.walls = newWalls(scene.tissue, scene.patterns);
+    this.scenery = new Scenery(scene.material);
+    scene.scene.add(this.walls, this.scenery.group);
   }
 
   get on(): boolean {
@@ -100,7 +103,8 @@ export class Theatre implements OtherView {
     this.hello = hello;
     this.eye = null;
     this.choose(chosen);
-    placeCavity(this.cavity, hello);
+    placeWalls(this.walls, hello);
+    this.scenery.begin(hello);
     const view = new URLSearchParams(window.location.search).get("view");
     const asked = isFirst && (view === null ? this.beginsOn : view === "theatre");
     this.turn((this.on || asked) && this.endoscope !== null);
@@ -234,7 +238,8 @@ export class Theatre implements OtherView {
       instrument.overlays.visible = !seen;
       if (i === this.endoscope) instrument.group.visible = !seen;
     });
-    this.cavity.visible = seen;
+    this.walls.visible = seen;
+    this.scenery.group.visible = seen;
     this.scene.shadeByTool(seen && this.endoscope === this.scene.chosen);
     if (seen) lampPower.value = this.power();
   }
@@ -242,7 +247,10 @@ export class Theatre implements OtherView {
   /** Power of the lamp for what is seen now, and its distance. */
   private power(): number {
     const { x, y, radius } = this.circle;
-    const distances = METERED.map(([a, b]) => this.scene.pick(x + a * radius, y + b * radius)?.distance_m ?? FURTHEST_EXPOSED_M);
+    const distances = METERED.map(([a, b]) => {
+      const at = [x + a * radius, y + b * radius] as const;
+      return this.scene.pick(...at)?.distance_m ?? Math.min(this.scenery.distance_m(this.scene.ray(...at)), FURTHEST_EXPOSED_M);
+    });
     const middle_m = distances.sort((a, b) => a - b)[Math.floor(METERED.length / 2)];
     this.metered_m = Math.min(FURTHEST_EXPOSED_M, Math.max(NEAREST_EXPOSED_M, middle_m));
     return EXPOSURE * 0.1 ** 2 * (this.metered_m / 0.1) ** MADE_UP;

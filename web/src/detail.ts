@@ -30,6 +30,11 @@ export function followsDetail(material: ShaderMaterial): void {
   material.addEventListener("dispose", () => followers.delete(material));
 }
 
+/** Whether all is drawn now. */
+export function isFullDetail(): boolean {
+  return full;
+}
+
 export function setFullDetail(isFullNow: boolean): void {
   if (full === isFullNow) return;
   full = isFullNow;

@@ -62,8 +62,15 @@ varying vec3 vViewNormal;
 varying vec3 vViewPosition;
 varying vec3 vLocal;
 void main() {
-  vec4 inView = modelViewMatrix * vec4(position, 1.0);
-  vViewNormal = normalMatrix * normal;
+  vec3 place = position;
+  vec3 outward = normal;
+#ifdef USE_INSTANCING
+  mat3 axes = mat3(instanceMatrix);
+  place = axes * place + instanceMatrix[3].xyz;
+  outward = axes * (outward / vec3(dot(axes[0], axes[0]), dot(axes[1], axes[1]), dot(axes[2], axes[2])));
+#endif
+  vec4 inView = modelViewMatrix * vec4(place, 1.0);
+  vViewNormal = normalMatrix * outward;
   vViewPosition = inView.xyz;
   vLocal = position;
   gl_Position = projectionMatrix * inView;

@@ -73,7 +73,7 @@ export class Scene3d {
   readonly contactMarks = new ContactMarks();
   readonly taskMarks = new TaskMarks();
   readonly scene = new Scene();
-  private readonly field = new OperatingField();
+  readonly field: OperatingField;
   private readonly bleeding = new BleedingMarks();
   private readonly threads = new ThreadMarks();
   /** Noise of what is made up of tissue. */
@@ -104,7 +104,8 @@ export class Scene3d {
     this.renderer.toneMappingExposure = 1.08;
     this.renderer.setClearColor(0x000000, 0);
     this.material = organMaterial(this.tissue, this.patterns);
-    this.scene.add(this.bleeding.group, this.contactMarks.group, this.taskMarks.group, this.threads.group);
+    this.field = new OperatingField(this.material);
+    this.scene.add(this.bleeding.group, this.contactMarks.group, this.taskMarks.group, this.threads.group, this.field.group);
     this.camera.up.set(0, 0, 1);
     this.orbit = orbitThatShows(new Vector3(-0.1, -0.1, -0.1), new Vector3(0.1, 0.1, 0.1), 1);
     this.resize();

@@ -13,6 +13,9 @@ import { lookOf } from "../tissue/looks";
 /** The bed lies so far below the scene's lowest place [m], and is so large to either side. */
 const BED_BELOW_M = 0.006;
 const BED_HALF_M = 0.17;
+/** Blood looks for a hollow in steps of a share of that, so many at most. */
+const GATHER_SHARE = 0.01;
+const GATHER_STEPS = 30;
 /** Scenes of which no side is longer lie before a made-up liver [m]. */
 const SMALL_M = 0.12;
 /** Where a patient lies on the back, things fall to it. */
@@ -75,23 +78,56 @@ function tube(places: readonly Vector3[], radius_m: (share: number) => number, h
   });
 }
 
-/** Lumps of fat across the ground. */
-function bed(middle: Vector3, down: Vector3): ReturnType<typeof surfaceOf> {
-  const across = new Vector3(1, 0, 0).addScaledVector(down, -down.x).normalize();
-  const ahead = down.clone().cross(across);
-  const n = 61;
-  return surfaceOf({
-    rows: n,
-    columns: n,
-    isRound: false,
-    at: (i, j) => {
-      const [u, v] = [(2 * i) / (n - 1) - 1, (2 * j) / (n - 1) - 1];
-      const lump = (size: number, seed: number): number => valueNoise(size * u + seed, size * v + seed, seed);
-      // Higher towards the sides, as loops of bowel lie there.
-      const height = 0.022 * (lump(5, 40) - 0.62) + 0.012 * (lump(11, 50) - 0.5) + 0.004 * (lump(27, 60) - 0.5) + 0.075 * (u * u + v * v) ** 1.5;
-      return middle.clone().addScaledVector(across, BED_HALF_M * u).addScaledVector(ahead, BED_HALF_M * v).addScaledVector(down, -Math.min(height, 0.06));
-    },
-  });
+/** The ground as a bed of lumps: its axes, its middle, and how far its surface is above the flat ground at shares of its half width. */
+class Bed {
+  readonly down: Vector3;
+  readonly across: Vector3;
+  readonly ahead: Vector3;
+  readonly middle: Vector3;
+
+  constructor(hello: Hello) {
+    this.down = downOf(hello);
+    this.across = new Vector3(1, 0, 0).addScaledVector(this.down, -this.down.x);
+    // Where things fall sideways, any axis across does.
+    if (this.across.lengthSq() < 1e-6) this.across.set(0, 1, 0);
+    this.across.normalize();
+    this.ahead = this.down.clone().cross(this.across);
+    this.middle = new Vector3(...hello.bounds.min_m).add(new Vector3(...hello.bounds.max_m)).multiplyScalar(0.5);
+    this.middle.addScaledVector(this.down, bedDepth_m(hello, this.down) - this.middle.dot(this.down));
+  }
+
+  height_m(u: number, v: number): number {
+    const lump = (size: number, seed: number): number => valueNoise(size * u + seed, size * v + seed, seed);
+    // Higher towards the sides, as loops of bowel lie there.
+    const height = 0.022 * (lump(5, 40) - 0.62) + 0.012 * (lump(11, 50) - 0.5) + 0.004 * (lump(27, 60) - 0.5) + 0.075 * (u * u + v * v) ** 1.5;
+    return Math.min(height, 0.06);
+  }
+
+  at(u: number, v: number): Vector3 {
+    return this.middle.clone().addScaledVector(this.across, BED_HALF_M * u).addScaledVector(this.ahead, BED_HALF_M * v).addScaledVector(this.down, -this.height_m(u, v));
+  }
+
+  surface(): ReturnType<typeof surfaceOf> {
+    const n = 61;
+    const share = (i: number): number => (2 * i) / (n - 1) - 1;
+    return surfaceOf({ rows: n, columns: n, isRound: false, at: (i, j) => this.at(share(i), share(j)) });
+  }
+}
+
+/** Where blood gathers that falls from a place: it runs down the bed below to the next hollow. */
+export function groundBelow(hello: Hello): (from_m: Vector3) => Vector3 {
+  const bed = new Bed(hello);
+  return (from_m) => {
+    const way = from_m.clone().sub(bed.middle);
+    let [u, v] = [way.dot(bed.across), way.dot(bed.ahead)].map((x) => Math.min(1, Math.max(-1, x / BED_HALF_M)));
+    for (let i = 0; i < GATHER_STEPS; i++) {
+      const around = [[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]].map(([a, b]) => [u + a * GATHER_SHARE, v + b * GATHER_SHARE] as const);
+      const [lowest] = around.sort((a, b) => bed.height_m(...a) - bed.height_m(...b));
+      if (lowest[0] === u && lowest[1] === v) break;
+      [u, v] = lowest;
+    }
+    return bed.at(u, v);
+  };
 }
 
 interface Piece {
@@ -113,7 +149,7 @@ function piecesOf(hello: Hello): Piece[] {
   const [left, feet, head] = [box.max.x, box.min.z, box.max.z];
   const colonAt = feet - 0.042;
   const pieces: Piece[] = [
-    { names: /fat|oment|mesent/, look: "fat", surface: bed(onBed(middle.x, middle.z, 0), down) },
+    { names: /fat|oment|mesent/, look: "fat", surface: new Bed(hello).surface() },
     {
       names: /colon|bowel|intestin/,
       look: "colon",

@@ -2,16 +2,19 @@
  * The theatre view: what the endoscope shows, as a circle on the canvas, and in a corner the picture from outside. Camera and lamp
  * are at the endoscope's tip as the last snapshot has it. A lens that touches tissue is smeared until it is wiped.
  */
-import { PerspectiveCamera, Vector3, type Mesh } from "three";
+import { PerspectiveCamera, Vector3, type Mesh, type Object3D } from "three";
+import { isFullDetail } from "../detail";
 import type { Ray, ViewAxes } from "../drag";
 import { FIELD_OF_VIEW_DEG, viewAxes } from "../orbit";
+import type { OperatingField } from "../field/field";
 import type { Page } from "../page";
 import type { Hello, SnapshotHeader, ToolInfo } from "../protocol";
 import type { OtherView, Scene3d } from "../scene3d";
 import { eyeOf, type Eye } from "./endoscope";
 import { inLampLight, lampPower } from "./lamp";
 import { Scenery } from "./scenery";
-import { newWalls, placeWalls } from "./walls";
+import { LampShadow } from "./shadow";
+import { distanceToWalls_m, newWalls, placeWalls } from "./walls";
 import { isInCircle, LensPass, MOST_DISTORTION, rayThrough, seenAt, USUAL_DISTORTION, type Circle } from "./lens";
 
 /** Of the endoscope's camera [m]: tissue at the lens is seen, and the far side of an abdomen. */
@@ -23,9 +26,9 @@ const AT_LENS_M = 1.5e-3;
 const SMALLEST_RADIUS = 150;
 const RIM = 10;
 /** Irradiance of the organ at 10 cm, in the picture's own measure. */
-const EXPOSURE = 2.7;
+const EXPOSURE = 2.3;
 /** The camera makes up for a part of what distance takes, as cameras of endoscopes do: exponent of the distance, 2 for all of it. */
-const MADE_UP = 1.5;
+const MADE_UP = 1.75;
 const NEAREST_EXPOSED_M = 0.005;
 const FURTHEST_EXPOSED_M = 0.3;
 /** Places of the circle whose distance sets the exposure. */
@@ -45,6 +48,7 @@ export interface TheatreReport {
   readonly endoscope: number | null;
   readonly smear: number;
   readonly outside: boolean;
+  readonly field: ReturnType<OperatingField["report"]>;
   /** The picture's circle on the canvas [CSS pixels]. */
   readonly circle: Circle;
   /** Of the camera that draws it, in the patient frame. */
@@ -76,6 +80,7 @@ export class Theatre implements OtherView {
   private readonly walls: Mesh;
   private readonly scenery: Scenery;
   private readonly lens: LensPass;
+  private readonly shadow = new LampShadow();
   private readonly distortion = distortionOf(window.location.search);
 
   constructor(
@@ -219,6 +224,7 @@ export class Theatre implements OtherView {
     // What is smeared needs few pixels.
     this.lens.fit(this.circle, this.smear > 0 ? SMEARED_RATIO : renderer.getPixelRatio());
     this.seenByEndoscope(true);
+    if (isFullDetail()) this.shadow.draw(renderer, scene, this.camera, this.castNone);
     renderer.setRenderTarget(this.lens.target);
     renderer.setClearColor(DEEP_RED, 1);
     // Nothing but the lamp shines inside.
@@ -232,6 +238,12 @@ export class Theatre implements OtherView {
     renderer.setClearColor(0x000000, 0);
   }
 
+  /** What is in no light's way. */
+  private get castNone(): Object3D[] {
+    const { field, contactMarks, taskMarks } = this.scene;
+    return [this.walls, this.scenery.group, field.group, contactMarks.group, taskMarks.group];
+  }
+
   /** The endoscope does not see itself, nor what is drawn to explain the scene; its lamp alone shines. */
   private seenByEndoscope(seen: boolean): void {
     this.scene.instruments.forEach((instrument, i) => {
@@ -240,6 +252,7 @@ export class Theatre implements OtherView {
     });
     this.walls.visible = seen;
     this.scenery.group.visible = seen;
+    this.scene.field.showGround(seen);
     this.scene.shadeByTool(seen && this.endoscope === this.scene.chosen);
     if (seen) lampPower.value = this.power();
   }
@@ -249,7 +262,8 @@ export class Theatre implements OtherView {
     const { x, y, radius } = this.circle;
     const distances = METERED.map(([a, b]) => {
       const at = [x + a * radius, y + b * radius] as const;
-      return this.scene.pick(...at)?.distance_m ?? Math.min(this.scenery.distance_m(this.scene.ray(...at)), FURTHEST_EXPOSED_M);
+      const ray = this.scene.ray(...at);
+      return this.scene.pick(...at)?.distance_m ?? Math.min(this.scenery.distance_m(ray), distanceToWalls_m(this.walls, ray));
     });
     const middle_m = distances.sort((a, b) => a - b)[Math.floor(METERED.length / 2)];
     this.metered_m = Math.min(FURTHEST_EXPOSED_M, Math.max(NEAREST_EXPOSED_M, middle_m));
@@ -281,6 +295,6 @@ export class Theatre implements OtherView {
     const { on, endoscope, smear, circle, camera } = this;
     const [, up, back] = [0, 1, 2].map((column) => new Vector3().setFromMatrixColumn(camera.matrixWorld, column));
     const view = { position_m: camera.position.toArray(), forward: back.negate().toArray(), up: up.toArray() };
-    return { on, endoscope, smear, outside: this.showsOutside, circle: { ...circle }, camera: { ...view, field_of_view_rad: (camera.fov * Math.PI) / 180 } };
+    return { on, endoscope, smear, outside: this.showsOutside, field: this.scene.field.report(), circle: { ...circle }, camera: { ...view, field_of_view_rad: (camera.fov * Math.PI) / 180 } };
   }
 }

@@ -5,7 +5,8 @@
 import { BackSide, Box3, Mesh, ShaderMaterial, SphereGeometry, Vector3, type Texture } from "three";
 import { followsDetail } from "../detail";
 import type { Hello } from "../protocol";
-import { LAMP, lampPower } from "./lamp";
+import { LAMP, lampUniforms } from "./lamp";
+import type { Ray } from "../drag";
 
 /** An ellipsoid through the corners of a box is so much larger than the box. */
 const THROUGH_CORNERS = Math.sqrt(3);
@@ -92,7 +93,7 @@ void main() {
 
 /** The walls as they are around a unit ball; not shown yet. */
 export function newWalls(tissue: Texture, patterns: Texture): Mesh<SphereGeometry, ShaderMaterial> {
-  const uniforms = { lamp: lampPower, tissue: { value: tissue }, patterns: { value: patterns } };
+  const uniforms = { ...lampUniforms, tissue: { value: tissue }, patterns: { value: patterns } };
   const material = new ShaderMaterial({ vertexShader: VERTEX, fragmentShader: FRAGMENT, side: BackSide, uniforms });
   followsDetail(material);
   const walls = new Mesh(new SphereGeometry(1, 72, 54), material);
@@ -113,4 +114,11 @@ export function placeWalls(walls: Mesh, hello: Hello): void {
   const half = room.getSize(new Vector3()).multiplyScalar(0.5 * THROUGH_CORNERS).addScalar(ROOM_M);
   room.getCenter(walls.position);
   walls.scale.copy(half).max(new Vector3(...LEAST_HALF_M));
+}
+
+/** How far along a ray from inside they are. */
+export function distanceToWalls_m({ position, scale }: Mesh, { origin, direction }: Ray): number {
+  const [from, way] = [origin.clone().sub(position).divide(scale), direction.clone().divide(scale)];
+  const [a, b, c] = [way.lengthSq(), from.dot(way), from.lengthSq() - 1];
+  return c < 0 ? (Math.sqrt(b * b - a * c) - b) / a : Infinity;
 }

@@ -3,7 +3,8 @@
  * it, broad), a pale sheen at grazing angles (Glisson's capsule), and generated patterns that are fixed to the rest shape, so that
  * they move with the tissue. In full detail vessels, lobules and the grain of cut faces show. The looks are chosen by eye.
  */
-import { Vector3, type ShaderMaterial, type Texture } from "three";
+import { Vector3, Vector4, type ShaderMaterial, type Texture } from "three";
+import type { Burn } from "../field/burns";
 import { STUDIO } from "../materials";
 import { LAMP, withLampTwin } from "../theatre/lamp";
 
@@ -40,6 +41,9 @@ void main() {
 }
 `;
 
+/** So many of the latest burns are drawn sharply in full detail. */
+export const MOST_SHARP_BURNS = 48;
+
 const FRAGMENT = /* glsl */ `
 uniform sampler2D tissue;
 uniform sampler2D patterns;
@@ -59,6 +63,20 @@ varying vec4 vLight;
 ${STUDIO}
 #ifdef IN_LAMP
 ${LAMP}
+#endif
+#ifdef FULL_DETAIL
+// Where hot instruments were, at rest, and radii; and how much they burnt.
+uniform vec4 burns[${MOST_SHARP_BURNS}];
+uniform float burnAmounts[${MOST_SHARP_BURNS}];
+uniform int nBurns;
+float heatAt(vec3 rest) {
+  float most = 0.0;
+  for (int i = 0; i < ${MOST_SHARP_BURNS}; i++) {
+    if (i >= nBurns) break;
+    most = max(most, burnAmounts[i] * min(1.0, 1.6 - 1.6 * distance(rest, burns[i].xyz) / burns[i].w));
+  }
+  return most;
+}
 #endif
 // Light that the instrument's shaft takes away (a capsule from the tip along the shaft).
 float shade(vec3 p, vec3 n) {
@@ -121,8 +139,12 @@ void main() {
   albedo = mix(albedo, open * (0.55 + 0.9 * detail.a), raw);
 #endif
   // Burnt: blanched, then brown, then black, and dry.
+#ifdef FULL_DETAIL
+  float heat = heatAt(vRest) * (0.55 + 0.9 * detail.a);
+#else
   float heat = vBurnt * (0.7 + 0.6 * detail.a);
-  albedo = mix(albedo, vec3(0.34, 0.25, 0.17), 0.75 * smoothstep(0.06, 0.2, heat));
+#endif
+  albedo = mix(albedo, vec3(0.19, 0.115, 0.075), 0.7 * smoothstep(0.06, 0.2, heat));
   albedo = mix(albedo, vec3(0.085, 0.034, 0.012), smoothstep(0.22, 0.42, heat));
   albedo = mix(albedo, vec3(0.009, 0.007, 0.006), smoothstep(0.45, 0.75, heat));
   wet *= 1.0 - 0.85 * smoothstep(0.15, 0.5, heat);
@@ -165,6 +187,9 @@ export function organMaterial(tissue: Texture, patterns: Texture): ShaderMateria
     uniforms: {
       tissue: { value: tissue },
       patterns: { value: patterns },
+      burns: { value: Array.from({ length: MOST_SHARP_BURNS }, () => new Vector4()) },
+      burnAmounts: { value: new Float32Array(MOST_SHARP_BURNS) },
+      nBurns: { value: 0 },
       toolTip: { value: new Vector3(0, 0, 10) },
       toolShaft: { value: new Vector3(0, 0, 1) },
       toolRadius: { value: 0.005 },
@@ -173,5 +198,15 @@ export function organMaterial(tissue: Texture, patterns: Texture): ShaderMateria
     polygonOffset: true,
     polygonOffsetFactor: 1,
     polygonOffsetUnits: 1,
+  });
+}
+
+/** Shows burns: the latest ones. */
+export function setBurns({ uniforms }: ShaderMaterial, burns: readonly Burn[]): void {
+  const latest = burns.slice(-MOST_SHARP_BURNS);
+  uniforms.nBurns.value = latest.length;
+  latest.forEach(({ rest_m, radius_m, amount }, i) => {
+    (uniforms.burns.value as Vector4[])[i].set(rest_m.x, rest_m.y, rest_m.z, radius_m);
+    (uniforms.burnAmounts.value as Float32Array)[i] = amount;
   });
 }

@@ -19,6 +19,9 @@ export type Action =
   | "wipe"
   | "outside"
   | "detail"
+  | "stereo"
+  | "headset"
+  | "sound"
   | "panel"
   | "plot"
   | "screenshot"
@@ -105,6 +108,8 @@ export const BINDINGS: readonly Binding[] = [
   own("view", "wipe", "D", plain("d")),
   own("view", "outside", "Shift N", [{ key: "n", shift: true }]),
   own("view", "detail", "Shift T", [{ key: "t", shift: true }]),
+  own("view", "stereo", "Shift D", [{ key: "d", shift: true }]),
+  own("view", "headset", "Shift V", [{ key: "v", shift: true }]),
   own("instrument", "tool_place", "G", plain("g")),
   own("instrument", "tool_left", "J", both("j"), true),
   own("instrument", "tool_right", "L", both("l"), true),
@@ -127,6 +132,7 @@ export const BINDINGS: readonly Binding[] = [
   own("program", "panel", "Shift P", [{ key: "p", shift: true }]),
   own("program", "plot", "Shift F", [{ key: "f", shift: true }]),
   own("program", "screenshot", "S", plain("s")),
+  own("program", "sound", "Shift S", [{ key: "s", shift: true }]),
   own("program", "profiler", "P", plain("p")),
   own("program", "help", "H or F1", plain("h", "f1", "?")),
   own("program", "start_page", "Shift Q", [{ key: "q", shift: true }]),

@@ -68,6 +68,8 @@ export class Scene3d {
   /** Number of the instrument in the hand. */
   chosen = 0;
   orbit: Orbit;
+  /** What a headset looks through, while it shows the scene. */
+  inHeadset: PerspectiveCamera | null = null;
   /** Drawn in place of the view from outside. */
   other: OtherView | null = null;
   readonly contactMarks = new ContactMarks();
@@ -339,6 +341,7 @@ export class Scene3d {
 
   /** Draws; when the processor draws, with `softwareRatio` pixels to a CSS pixel. */
   render(softwareRatio: number): void {
+    if (this.inHeadset !== null) return this.renderer.render(this.scene, this.inHeadset);
     if (this.software && this.renderer.getPixelRatio() !== softwareRatio) {
       this.renderer.setPixelRatio(softwareRatio);
       this.renderer.setSize(this.width, this.height, false);

@@ -1,6 +1,7 @@
 /** What the user chose, kept by the browser under one key. Storage that is broken, full or forbidden does no harm: then nothing is kept. */
 
 import { DETAIL_CHOICES, type DetailChoice } from "./detail";
+import { STEREO, type Stereo } from "./theatre/stereo";
 
 /** The number grows when what is kept is no longer understood. */
 export const SETTINGS_KEY = "glisson.settings.1";
@@ -24,6 +25,9 @@ export interface Settings {
   readonly panel: boolean | null;
   readonly plot: boolean;
   readonly detail: DetailChoice;
+  readonly sound: boolean;
+  /** Two pictures for two eyes, through the endoscope. */
+  readonly stereo: Stereo;
 }
 
 export const USUAL: Settings = {
@@ -38,6 +42,8 @@ export const USUAL: Settings = {
   panel: null,
   plot: true,
   detail: "auto",
+  sound: false,
+  stereo: "off",
 };
 
 export type Store = Pick<Storage, "getItem" | "setItem">;
@@ -65,7 +71,7 @@ export function settingsOf(text: string | null): Settings {
     const found = kept[name];
     return typeof found === "boolean" ? found : usual;
   };
-  const { language, style, detail } = kept;
+  const { language, style, detail, stereo } = kept;
   return {
     language: language === "en" || language === "fr" ? language : null,
     style: typeof style === "number" && Number.isInteger(style) && style >= 0 && style < N_STYLES ? style : USUAL.style,
@@ -78,6 +84,8 @@ export function settingsOf(text: string | null): Settings {
     panel: flag("panel", USUAL.panel),
     plot: flag("plot", USUAL.plot),
     detail: DETAIL_CHOICES.find((choice) => choice === detail) ?? USUAL.detail,
+    sound: flag("sound", USUAL.sound),
+    stereo: STEREO.find((choice) => choice === stereo) ?? USUAL.stereo,
   };
 }
 

@@ -8,7 +8,7 @@ import { newCounters, type ViewerParts } from "./hook";
 import { actionOf, isForPart, rollOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
 import { text } from "./language";
 import { goesElsewhere, Leaving } from "./leaving";
-import { Looks } from "./looks";
+import { isSwitch, Looks } from "./looks";
 import type { Orbit } from "./orbit";
 import { drawOrientation } from "./orientation";
 import { Help, Messages, savePicture, showConnection, Toolbar } from "./overlays";
@@ -24,6 +24,7 @@ import { Resolution } from "./resolution";
 import { Scene3d } from "./scene3d";
 import { Table } from "./table";
 import { TaskPanel } from "./task";
+import { Headset } from "./theatre/headset";
 import { Theatre } from "./theatre/view";
 import type { ToolDriver } from "./tool_driver";
 
@@ -58,6 +59,7 @@ export class Viewer {
   private frameAsked = false;
   private lastFrame_ms: number | null = null;
   private readonly looks: Looks;
+  private readonly headset: Headset;
   private readonly leaving: Leaving;
   private readonly counters = newCounters();
 
@@ -105,6 +107,11 @@ export class Viewer {
     });
     this.looks = new Looks(page.panel, this.panel, this.scene, this.theatre, this.contacts, (action) => this.run(action, false), (words) => this.messages.notice(words));
     this.looks.begin(this.connection);
+    this.headset = new Headset(this.scene, this.messages, {
+      // The head moves: every frame is drawn.
+      frame: (now_ms) => { this.sceneChanged = true; this.frame(now_ms); },
+      found: () => this.toolbar.offer("headset", true),
+    });
     this.showProfiler();
     this.resize();
     this.connection.open();
@@ -209,6 +216,8 @@ export class Viewer {
     const tool = toolNumber(action);
     if (tool !== null) this.choose(tool);
     if (action === "bodies") this.bodies.hideNext();
+    if (isSwitch(action)) this.looks.turn(action, this.connection);
+    if (action === "profiler") this.showProfiler();
     switch (action) {
       case "pause":
       case "single_step":
@@ -252,26 +261,14 @@ export class Viewer {
         this.theatre.toggleOutside();
         this.looks.keepTheatre();
         break;
-      case "wireframe":
-      case "contacts":
-      case "forces":
-      case "fixed_nodes":
-      case "profiler":
-      case "panel":
-      case "plot":
-      case "detail":
-        this.looks.turn(action, this.connection);
-        if (action === "profiler") this.showProfiler();
-        break;
+      case "headset": void this.headset.enter(); break;
       case "start_page":
         this.leaving.press(this.hello?.can_leave === true, performance.now());
         break;
       case "help":
         this.help.open = !this.help.open;
         break;
-      case "screenshot":
-        void this.screenshot();
-        break;
+      case "screenshot": void this.screenshot(); break;
       case "leave":
         this.leave();
         break;
@@ -373,6 +370,7 @@ export class Viewer {
     const drawn = (h: SnapshotHeader | null): string => (h === null ? "" : JSON.stringify([h.tools, h.bleeding?.ends, h.contactPoints, h.threads]));
     if (drawn(header) !== drawn(this.header)) this.sceneChanged = true;
     this.contacts.take(header.contactPoints);
+    this.looks.sound.take(header, this.hello);
     this.task.tick(header.time_s);
     this.header = headerOfHand(header, this.hands.chosen);
   }

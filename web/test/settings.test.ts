@@ -23,6 +23,8 @@ const OTHER: Settings = {
   panel: false,
   plot: false,
   detail: "low",
+  sound: true,
+  stereo: "anaglyph",
 };
 
 describe("what the user chose", () => {

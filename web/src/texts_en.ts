@@ -39,6 +39,8 @@ export const EN = {
   panel_label: "Measurements",
   task_label: "Task",
   toolbar_label: "Commands",
+  low_label: "Beside the picture",
+  profiler_label: "Times of the page and of the simulation",
   outside_label: "The organ from outside",
   orientation_label: "Patient directions and scale",
   hint: "Press on the organ and drag. H shows all keys.",

@@ -39,6 +39,8 @@ export const FR: Readonly<Record<TextKey, string>> = {
   panel_label: "Mesures",
   task_label: "Exercice",
   toolbar_label: "Commandes",
+  low_label: "À côté de l'image",
+  profiler_label: "Temps de la page et de la simulation",
   outside_label: "L'organe vu de l'extérieur",
   orientation_label: "Directions du patient et échelle",
   hint: "Appuyez sur l'organe et faites glisser. H montre toutes les touches.",

@@ -197,6 +197,7 @@ fn browser(scene: &Path) -> anyhow::Result<()> {
     theatre(scene, &chromium)?;
     tasks(&chromium)?;
     start(&chromium)?;
+    accessibility(&chromium)?;
     replay(scene, &chromium)
 }
 
@@ -230,6 +231,11 @@ fn tasks(chromium: &Path) -> anyhow::Result<()> {
 /// The page that one begins with: to a task, to a new patient, and back.
 fn start(chromium: &Path) -> anyhow::Result<()> {
     browser_test("test:start", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
+}
+
+/// What axe-core finds on every page.
+fn accessibility(chromium: &Path) -> anyhow::Result<()> {
+    browser_test("test:accessibility", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
 }
 
 /// Runs a browser test that needs to know one thing.

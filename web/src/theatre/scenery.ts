@@ -4,12 +4,15 @@
  * What the scene has among its bodies is not drawn twice, and what would stand in an instrument's way is left out.
  */
 import { Box3, CatmullRomCurve3, Group, Mesh, Vector3, type ShaderMaterial } from "three";
+import { isFullDetail } from "../detail";
 import { latticeValue, valueNoise } from "../noise";
 import type { Ray } from "../drag";
 import type { Hello } from "../protocol";
 import { tissueGeometry } from "../tissue/geometry";
 import { lookOf } from "../tissue/looks";
 
+/** What is behind organs is drawn after them, so that what they hide costs nothing. */
+const AFTER_ORGANS = 2;
 /** The bed lies so far below the scene's lowest place [m], and is so large to either side. */
 const BED_BELOW_M = 0.006;
 const BED_HALF_M = 0.17;
@@ -59,7 +62,7 @@ function surfaceOf({ rows, columns, isRound, at }: Grid): { rest_m: Float32Array
 /** A hollow organ along a curve, of a radius at each share of it; `haustra` bulges. */
 function tube(places: readonly Vector3[], radius_m: (share: number) => number, haustra = 0): ReturnType<typeof surfaceOf> {
   const curve = new CatmullRomCurve3([...places]);
-  const [rows, columns] = [56, 22];
+  const [rows, columns] = isFullDetail() ? [56, 22] : [26, 12];
   const frames = curve.computeFrenetFrames(rows - 1, false);
   return surfaceOf({
     rows,
@@ -108,7 +111,7 @@ class Bed {
   }
 
   surface(): ReturnType<typeof surfaceOf> {
-    const n = 61;
+    const n = isFullDetail() ? 61 : 27;
     const share = (i: number): number => (2 * i) / (n - 1) - 1;
     return surfaceOf({ rows: n, columns: n, isRound: false, at: (i, j) => this.at(share(i), share(j)) });
   }
@@ -181,12 +184,16 @@ export class Scenery {
   readonly group = new Group();
   private readonly down = BACK.clone();
   private depth_m = 0;
+  private hello: Hello | null = null;
+  private isFull = false;
 
   constructor(private readonly material: ShaderMaterial) {
     this.group.visible = false;
   }
 
   begin(hello: Hello): void {
+    this.hello = hello;
+    this.isFull = isFullDetail();
     for (const part of this.group.children) (part as Mesh).geometry.dispose();
     this.group.clear();
     this.down.copy(downOf(hello));
@@ -199,9 +206,20 @@ export class Scenery {
       geometry.computeBoundingBox();
       // The bed is below all instruments.
       const isInWay = look !== "fat" && ways.some((place) => geometry.boundingBox!.containsPoint(place));
-      if (isInWay) geometry.dispose();
-      else this.group.add(new Mesh(geometry, this.material));
+      if (isInWay) {
+        geometry.dispose();
+        continue;
+      }
+      const part = new Mesh(geometry, this.material);
+      part.renderOrder = AFTER_ORGANS;
+      this.group.add(part);
     }
+  }
+
+  /** Shows it, as fine as all is drawn now. */
+  show(shown: boolean): void {
+    if (shown && this.hello !== null && this.isFull !== isFullDetail()) this.begin(this.hello);
+    this.group.visible = shown;
   }
 
   /** How far along a ray the ground is, which is taken for flat; not finite where the ray does not go there. */

@@ -296,7 +296,7 @@ export class Theatre implements OtherView {
       if (i === this.endoscope) instrument.group.visible = !seen;
     });
     this.walls.visible = seen;
-    this.scenery.group.visible = seen;
+    this.scenery.show(seen);
     this.scene.field.showGround(seen);
     this.scene.shadeByTool(seen && this.endoscope === this.scene.chosen);
     if (seen) lampPower.value = this.power();

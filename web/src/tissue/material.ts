@@ -140,14 +140,16 @@ void main() {
 #endif
   // Burnt: blanched, then brown, then black, and dry.
 #ifdef FULL_DETAIL
-  float heat = heatAt(vRest) * (0.55 + 0.9 * detail.a);
+  float heat = nBurns > 0 ? heatAt(vRest) * (0.55 + 0.9 * detail.a) : 0.0;
 #else
   float heat = vBurnt * (0.7 + 0.6 * detail.a);
 #endif
-  albedo = mix(albedo, vec3(0.19, 0.115, 0.075), 0.7 * smoothstep(0.06, 0.2, heat));
-  albedo = mix(albedo, vec3(0.085, 0.034, 0.012), smoothstep(0.22, 0.42, heat));
-  albedo = mix(albedo, vec3(0.009, 0.007, 0.006), smoothstep(0.45, 0.75, heat));
-  wet *= 1.0 - 0.85 * smoothstep(0.15, 0.5, heat);
+  if (heat > 0.0) {
+    albedo = mix(albedo, vec3(0.19, 0.115, 0.075), 0.7 * smoothstep(0.06, 0.2, heat));
+    albedo = mix(albedo, vec3(0.085, 0.034, 0.012), smoothstep(0.22, 0.42, heat));
+    albedo = mix(albedo, vec3(0.009, 0.007, 0.006), smoothstep(0.45, 0.75, heat));
+    wet *= 1.0 - 0.85 * smoothstep(0.15, 0.5, heat);
+  }
 
   vec3 smoothNormal = normalize(vNormal);
   vec3 world = normalize(smoothNormal - 0.30 * (slope - smoothNormal * dot(slope, smoothNormal)));

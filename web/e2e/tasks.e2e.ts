@@ -62,6 +62,12 @@ title = "The light fails"
 light_out = { for = "4 s" }
 `;
 
+/** The same ball, and a hook that touches it switched on, too lightly to cut. */
+const HOT = DARK.replace('name = "probe"\n', 'name = "probe"\nkind = "hook"\ncut_force = "9 N"\n').replace(
+  'path = [{ time = "60 s", tip = ["-20 mm", "-60 mm", "0 mm"] }]',
+  'path = [{ time = "1 s", tip = ["0 mm", "-33 mm", "0 mm"], trigger = 1 }, { time = "60 s", tip = ["5 mm", "-32 mm", "0 mm"], trigger = 1 }]',
+);
+
 /** Mean brightness, 0 to 255, around the middle of the endoscope's picture. */
 async function brightness(page: Page): Promise<number> {
   const [x, y] = await page.evaluate(() => {
@@ -112,6 +118,30 @@ describe.skipIf(program === undefined)("the tasks in the page", () => {
       expect(await button.textContent()).toMatch(/^The light fails: came after \d+\.\d s$/);
       expect(await button.isEnabled()).toBe(false);
       await expect.poll(() => brightness(page), { timeout: 60_000 }).toBeGreaterThan(20);
+      expect(problems).toEqual([]);
+      await page.close();
+    } finally {
+      await stop();
+    }
+  });
+
+  it("a hook that is switched on chars what it touches, and smokes", { timeout: 120_000 }, async () => {
+    const scene = join(out, "hot.toml");
+    writeFileSync(scene, HOT);
+    const { url, stop } = await serve(scene, out);
+    try {
+      const { page, problems } = await openPage(browser);
+      await page.goto(url);
+      await waitForOrgan(page);
+      const field = () => page.evaluate(() => window.glisson!.theatre.field);
+      await expect.poll(async () => (await field()).burns, { timeout: 60_000 }).toBeGreaterThan(0);
+      await expect.poll(async () => (await field()).puffs, { timeout: 60_000 }).toBeGreaterThan(5);
+      // All of it, as a GPU draws it: its shaders compile here, too.
+      for (let i = 0; i < 2; i++) await page.keyboard.press("Shift+T");
+      await page.waitForTimeout(3000);
+      await page.screenshot({ path: resultFile("task-hot.png") });
+      await page.keyboard.press("Shift+R");
+      await expect.poll(async () => (await field()).burns, { timeout: 60_000 }).toBe(0);
       expect(problems).toEqual([]);
       await page.close();
     } finally {

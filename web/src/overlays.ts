@@ -35,6 +35,8 @@ export class Help {
     this.root.setAttribute("aria-label", text("help_label"));
     this.root.hidden = true;
     const page = element("div", "help-page");
+    // Keys scroll it.
+    page.tabIndex = 0;
     page.append(element("h1", "", text("help_title")));
     const columns = element("div", "help-columns");
     for (const [title, lines] of groups) columns.append(this.group(title, lines));

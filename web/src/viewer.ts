@@ -83,7 +83,8 @@ export class Viewer {
     window.addEventListener("error", (event) => this.messages.error(text("page_error", { message: event.message })));
     window.addEventListener("unhandledrejection", (event) => this.messages.error(text("page_error", { message: String(event.reason) })));
     const sizes = new ResizeObserver(() => this.resize());
-    for (const part of [page.scene, page.toolbar, page.panel, page.task]) sizes.observe(part);
+    // Not the canvas, which is as deep as the panel: what is changed while one size is told has to be deeper to be told, too.
+    for (const part of [page.scene.parentElement!, page.toolbar, page.panel, page.task]) sizes.observe(part);
     page.scene.addEventListener("webglcontextlost", () => this.messages.error(text("graphics_lost")));
 
     this.connection = new Connection(socketAddress(window.location.href), {

@@ -105,7 +105,7 @@ export class Player {
     page.scene.addEventListener("webglcontextlost", () => this.messages.error("The graphics were lost; reload the page."));
     this.begin(this.hello);
     const sizes = new ResizeObserver(() => this.resize());
-    for (const part of [page.scene, page.transport, page.story]) sizes.observe(part);
+    for (const part of [page.scene.parentElement!, page.transport, page.story]) sizes.observe(part);
     this.resize();
     this.scene.resetView();
     this.jumpToAddress();

@@ -8,6 +8,18 @@ import type { Burn } from "../field/burns";
 import { STUDIO } from "../materials";
 import { LAMP, withLampTwin } from "../theatre/lamp";
 
+const VARYINGS = /* glsl */ `
+varying vec3 vWorld;
+varying vec3 vNormal;
+varying vec3 vRest;
+varying vec3 vRestNormal;
+varying float vTone;
+varying float vInside;
+varying float vBurnt;
+varying vec4 vDark;
+varying vec4 vLight;
+`;
+
 const VERTEX = /* glsl */ `
 attribute vec3 restPosition;
 attribute vec3 restNormal;
@@ -18,16 +30,7 @@ attribute float burnt;
 attribute vec4 darkLook;
 // Colour, and how much lobules show.
 attribute vec4 lightLook;
-varying vec4 vDark;
-varying vec4 vLight;
-varying vec3 vWorld;
-varying vec3 vNormal;
-varying vec3 vRest;
-varying vec3 vRestNormal;
-varying float vTone;
-varying float vInside;
-varying float vBurnt;
-void main() {
+${VARYINGS}void main() {
   vWorld = position;
   vNormal = normal;
   vRest = restPosition;
@@ -51,16 +54,7 @@ uniform vec3 toolTip;
 uniform vec3 toolShaft;
 uniform float toolRadius;
 uniform float toolLength;
-varying vec3 vWorld;
-varying vec3 vNormal;
-varying vec3 vRest;
-varying vec3 vRestNormal;
-varying float vTone;
-varying float vInside;
-varying float vBurnt;
-varying vec4 vDark;
-varying vec4 vLight;
-${STUDIO}
+${VARYINGS}${STUDIO}
 #ifdef IN_LAMP
 ${LAMP}
 #endif

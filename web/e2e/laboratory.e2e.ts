@@ -2,33 +2,16 @@
  * What a laboratory has beside the picture, against a server of `e2e/laboratory.toml`: a number that is turned, the inside, plots, and the page of
  * input devices. `GLISSON_PROGRAM` is the program.
  */
-import { spawn, spawnSync, type ChildProcess } from "node:child_process";
+import { spawnSync } from "node:child_process";
 import { mkdtempSync, readFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import type { Browser, Page } from "playwright-core";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import { openPage, resultFile, startBrowser, waitForOrgan } from "./browser";
+import { program, serveProgram, type ServedProgram } from "./serve";
 
-const PROGRAM = process.env.GLISSON_PROGRAM;
 const SCENE = join(import.meta.dirname, "laboratory.toml");
-
-/** Starts the program on a free port; its address. */
-async function serve(session: string): Promise<{ readonly program: ChildProcess; readonly url: string }> {
-  const program = spawn(PROGRAM!, ["serve", SCENE, "--port", "0", "--no-open", "--record", session]);
-  const url = await new Promise<string>((resolve, reject) => {
-    let said = "";
-    const hear = (chunk: Buffer): void => {
-      said += chunk.toString();
-      const address = /Glisson is at (http\S+)/.exec(said);
-      if (address !== null) resolve(address[1]!);
-    };
-    program.stdout.on("data", hear);
-    program.stderr.on("data", hear);
-    program.on("exit", () => reject(new Error(said)));
-  });
-  return { program, url };
-}
 
 /** Two gamepads whose sticks a test moves: `window.pads[0].axes[0] = 1`. */
 const PADS = `
@@ -43,26 +26,25 @@ interface WithPads {
   pads: Array<{ axes: number[]; buttons: Array<{ pressed: boolean }> }>;
 }
 
-describe.skipIf(PROGRAM === undefined)("the laboratory", () => {
+describe.skipIf(program === undefined)("the laboratory", () => {
   const session = join(mkdtempSync(join(tmpdir(), "laboratory-")), "session.jsonl");
   let browser: Browser;
   let page: Page;
   let problems: string[];
-  let program: ChildProcess;
-  let url: string;
+  let served: ServedProgram;
 
   beforeAll(async () => {
     browser = await startBrowser();
-    ({ program, url } = await serve(session));
+    served = await serveProgram(["serve", SCENE, "--record", session]);
     ({ page, problems } = await openPage(browser));
     await page.addInitScript(PADS);
-    await page.goto(url);
+    await page.goto(served.url);
     await waitForOrgan(page);
     await page.evaluate(() => window.dispatchEvent(new Event("gamepadconnected")));
   });
   afterAll(async () => {
     await browser?.close();
-    if (program?.exitCode === null) program.kill("SIGINT");
+    await served?.stop();
   });
 
   const tips = () => page.evaluate(() => window.glisson!.header!.tools.map(({ tip_m }) => tip_m));
@@ -120,14 +102,14 @@ describe.skipIf(PROGRAM === undefined)("the laboratory", () => {
       await page.keyboard.press("Shift+G");
       expect(await page.locator(".plot-choice").inputValue()).toBe(kind);
     }
-    const [download] = await Promise.all([page.waitForEvent("download"), page.keyboard.press("Shift+S")]);
+    const [download] = await Promise.all([page.waitForEvent("download"), page.keyboard.press("Shift+A")]);
     const csv = readFileSync((await download.path())!, "utf8");
     expect(csv.split("\n")[0]).toContain("time_s,force_n");
     expect(csv.split("\n").length).toBeGreaterThan(20);
   });
 
   it("two gamepads are mapped, tried without moving anything, and then move two instruments at once", async () => {
-    await page.keyboard.press("Shift+D");
+    await page.keyboard.press("Shift+E");
     const dialog = page.getByRole("dialog", { name: "Input devices" });
     const card = (name: string) => dialog.locator(".devices-card", { hasText: name });
     await card("Right pad").getByLabel("Moves", { exact: true }).selectOption("1");
@@ -148,7 +130,7 @@ describe.skipIf(PROGRAM === undefined)("the laboratory", () => {
   });
 
   it("what was mapped is kept, and a key that is a pedal switches as long as it is pressed", async () => {
-    await page.keyboard.press("Shift+D");
+    await page.keyboard.press("Shift+E");
     await page.getByRole("button", { name: "Add a pedal" }).click();
     await page.keyboard.press("F9");
     await page.getByLabel("Instrument of F9").selectOption("1");
@@ -165,11 +147,11 @@ describe.skipIf(PROGRAM === undefined)("the laboratory", () => {
 
   it("another machine's page takes the instrument that is offered, and moves it alone", async () => {
     const other = await openPage(browser);
-    await other.page.goto(url);
+    await other.page.goto(served.url);
     await waitForOrgan(other.page);
-    await page.keyboard.press("Shift+D");
+    await page.keyboard.press("Shift+E");
     await page.getByRole("button", { name: "Offer to another machine: 2" }).click();
-    await other.page.keyboard.press("Shift+D");
+    await other.page.keyboard.press("Shift+E");
     await other.page.getByRole("button", { name: "Take: 2" }).click();
     await other.page.keyboard.press("Escape");
     await page.getByRole("button", { name: "Call back: 2" }).waitFor();
@@ -186,11 +168,9 @@ describe.skipIf(PROGRAM === undefined)("the laboratory", () => {
   it("nothing went wrong in the page", () => expect(problems).toEqual([]));
 
   it("the session holds what was turned, and replays to the same bits", async () => {
-    const ended = new Promise((resolve) => program.on("exit", resolve));
-    program.kill("SIGINT");
-    await ended;
+    await served.stop();
     expect(readFileSync(session, "utf8")).toMatch(/"event":"turn".*"parameter":"young_modulus","value":4400\.0\}/);
-    const { stdout, status } = spawnSync(PROGRAM!, ["replay", session, "--folder", import.meta.dirname], { encoding: "utf8" });
+    const { stdout, status } = spawnSync(program!, ["replay", session, "--folder", import.meta.dirname], { encoding: "utf8" });
     expect(status, stdout).toBe(0);
   });
 });

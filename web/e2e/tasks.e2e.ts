@@ -2,15 +2,15 @@
  * The tasks that come with the program, each done by its demonstration in front of a page: the panel follows the stages to their end,
  * and leads to the report. The program is in GLISSON_PROGRAM.
  */
-import { execFileSync, spawn, type ChildProcess } from "node:child_process";
+import { execFileSync } from "node:child_process";
 import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import type { Browser, Page } from "playwright-core";
 import { openPage, resultFile, startBrowser, waitForOrgan } from "./browser";
+import { program, serveProgram } from "./serve";
 
-const program = process.env.GLISSON_PROGRAM;
 if (program === undefined) console.warn("SKIPPED e2e/tasks.e2e.ts: GLISSON_PROGRAM is not set (the program glisson)");
 
 interface Task {
@@ -25,21 +25,8 @@ const LONGEST_MS = 120_000;
 /** In the middle of most of them. */
 const PICTURE_AFTER_MS = 6000;
 
-/** A task that serves itself; its address when it answers. */
-async function serve(name: string, out: string): Promise<{ program: ChildProcess; url: string }> {
-  const child = spawn(program!, ["task", "run", name, "--demonstrate", "--no-open", "--port", "0", "--out", out]);
-  return new Promise((resolve, reject) => {
-    let text = "";
-    const hear = (data: Buffer): void => {
-      text += data.toString();
-      const url = /http:\/\/\S+/.exec(text)?.[0];
-      if (url !== undefined) resolve({ program: child, url });
-    };
-    child.stdout.on("data", hear);
-    child.stderr.on("data", hear);
-    child.on("exit", (code) => reject(new Error(`${name} ended with ${code}: ${text}`)));
-  });
-}
+/** A task that serves itself, and is done by its demonstration. */
+const serve = (name: string, out: string) => serveProgram(["task", "run", name, "--demonstrate", "--out", out]);
 
 /** An endoscope that looks at a ball, an instrument that moves for a minute, and a lamp that fails when who teaches says so. */
 const DARK = `glisson_scene = 1
@@ -75,6 +62,12 @@ title = "The light fails"
 light_out = { for = "4 s" }
 `;
 
+/** The same ball, and a hook that touches it switched on, too lightly to cut. */
+const HOT = DARK.replace('name = "probe"\n', 'name = "probe"\nkind = "hook"\ncut_force = "9 N"\n').replace(
+  'path = [{ time = "60 s", tip = ["-20 mm", "-60 mm", "0 mm"] }]',
+  'path = [{ time = "1 s", tip = ["0 mm", "-33 mm", "0 mm"], trigger = 1 }, { time = "60 s", tip = ["5 mm", "-32 mm", "0 mm"], trigger = 1 }]',
+);
+
 /** Mean brightness, 0 to 255, around the middle of the endoscope's picture. */
 async function brightness(page: Page): Promise<number> {
   const [x, y] = await page.evaluate(() => {
@@ -109,7 +102,7 @@ describe.skipIf(program === undefined)("the tasks in the page", () => {
   it("an event that who teaches lets come takes the light away for its time", { timeout: 120_000 }, async () => {
     const scene = join(out, "dark.toml");
     writeFileSync(scene, DARK);
-    const { program: server, url } = await serve(scene, out);
+    const { url, stop } = await serve(scene, out);
     try {
       const { page, problems } = await openPage(browser);
       await page.goto(url);
@@ -128,13 +121,36 @@ describe.skipIf(program === undefined)("the tasks in the page", () => {
       expect(problems).toEqual([]);
       await page.close();
     } finally {
-      server.removeAllListeners("exit");
-      server.kill();
+      await stop();
+    }
+  });
+
+  it("a hook that is switched on chars what it touches, and smokes", { timeout: 120_000 }, async () => {
+    const scene = join(out, "hot.toml");
+    writeFileSync(scene, HOT);
+    const { url, stop } = await serve(scene, out);
+    try {
+      const { page, problems } = await openPage(browser);
+      await page.goto(url);
+      await waitForOrgan(page);
+      const field = () => page.evaluate(() => window.glisson!.theatre.field);
+      await expect.poll(async () => (await field()).burns, { timeout: 60_000 }).toBeGreaterThan(0);
+      await expect.poll(async () => (await field()).puffs, { timeout: 60_000 }).toBeGreaterThan(5);
+      // All of it, as a GPU draws it: its shaders compile here, too.
+      for (let i = 0; i < 2; i++) await page.keyboard.press("Shift+T");
+      await page.waitForTimeout(3000);
+      await page.screenshot({ path: resultFile("task-hot.png") });
+      await page.keyboard.press("Shift+R");
+      await expect.poll(async () => (await field()).burns, { timeout: 60_000 }).toBe(0);
+      expect(problems).toEqual([]);
+      await page.close();
+    } finally {
+      await stop();
     }
   });
 
   it.each(tasks)("$name is done by its demonstration", { timeout: 2 * LONGEST_MS }, async (task) => {
-    const { program: server, url } = await serve(task.name, out);
+    const { url, stop } = await serve(task.name, out);
     try {
       const { page, problems } = await openPage(browser);
       await page.goto(url);
@@ -176,8 +192,7 @@ describe.skipIf(program === undefined)("the tasks in the page", () => {
       await report.close();
       await page.close();
     } finally {
-      server.removeAllListeners("exit");
-      server.kill();
+      await stop();
     }
   });
 });

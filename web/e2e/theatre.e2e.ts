@@ -178,6 +178,35 @@ describe.skipIf(url === undefined)(`the theatre view of ${url}`, () => {
     expect(problems).toEqual([]);
   });
 
+  it("shows two pictures for two eyes, beside each other and in two colours", async () => {
+    await enter();
+    const whole = (await theatre()).circle;
+    await page.getByRole("button", { name: "Stereo" }).click();
+    await until(() => window.glisson!.theatre.stereo === "side_by_side");
+    await page.waitForTimeout(1200);
+    await page.screenshot({ path: resultFile("theatre-stereo.png") });
+    const { circle, second_px } = await theatre();
+    expect(circle.radius).toBeLessThan(whole.radius);
+    expect(second_px).toBeGreaterThanOrEqual(2 * circle.radius);
+    const [left, right, between] = await Promise.all([0, second_px, second_px / 2].map((x) => luminance(circle.x + x, circle.y, 12)));
+    expect(left).toBeGreaterThan(0.05);
+    expect(Math.abs(right - left)).toBeLessThan(0.3 * left);
+    expect(between).toBeLessThan(0.01);
+    // A press in either picture finds the same place.
+    const found = await page.evaluate(([x, y, further]) => [x, x + further].map((at) => window.glisson!.vertexAt(at, y)), [circle.x, circle.y, second_px] as const);
+    expect(found[1]).toBe(found[0]);
+    await page.keyboard.press("Shift+D");
+    await until(() => window.glisson!.theatre.stereo === "anaglyph");
+    await page.waitForTimeout(1200);
+    await page.screenshot({ path: resultFile("theatre-anaglyph.png") });
+    expect(await luminance(whole.x, whole.y, 12)).toBeGreaterThan(0.05);
+    await page.keyboard.press("Shift+D");
+    await until(() => window.glisson!.theatre.stereo === "off");
+    // Kept for the next time; no headset here.
+    expect(await page.getByRole("button", { name: "Headset" }).isVisible()).toBe(false);
+    expect(problems).toEqual([]);
+  });
+
   it("fits a small page, hides the picture from outside, and begins where the address says", async () => {
     await page.setViewportSize({ width: 800, height: 600 });
     await page.goto(`${url!.replace(/\/$/, "")}/?view=theatre`);

@@ -57,6 +57,7 @@ export interface ViewerHook {
     readonly profiler: boolean;
     readonly panel: boolean;
     readonly plot: boolean;
+    readonly sound: boolean;
     readonly azimuth_rad: number;
     readonly elevation_rad: number;
     readonly distance_m: number;

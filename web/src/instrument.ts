@@ -1,26 +1,14 @@
-/** The instrument (a metal probe with depth marks), the contact point and the force arrow. */
-import {
-  CapsuleGeometry,
-  ConeGeometry,
-  CylinderGeometry,
-  Group,
-  LatheGeometry,
-  Mesh,
-  Quaternion,
-  SphereGeometry,
-  Vector2,
-  Vector3,
-  type BufferGeometry,
-} from "three";
+/** An instrument as it is shown: its parts with moving jaws, its trocar, the contact point and the force arrow. */
+import { ConeGeometry, CylinderGeometry, Group, Mesh, Quaternion, SphereGeometry, Vector3 } from "three";
+import { instrumentParts, trocarParts, type Part } from "./instruments/parts";
+import { Surfaces } from "./instruments/surfaces";
 import { solidMaterial } from "./materials";
-import type { JawsInfo, ToolInfo, ToolState, Vec3 } from "./protocol";
+import type { ToolInfo, ToolState, Vec3 } from "./protocol";
 
 const Z = new Vector3(0, 0, 1);
 const FRONT = new Vector3(0, -1, 0);
 /** Tool axes of a shaft to the front: x to the left, y to the head, z to the front. */
 const FRONT_AXES = new Quaternion().setFromUnitVectors(Z, FRONT);
-/** Distance of the marks on the shaft [m]. */
-export const MARK_SPACING_M = 0.01;
 /** Forces below this show no arrow [N]: it would be shorter than its head. */
 const SMALLEST_ARROW_M = 0.002;
 
@@ -29,22 +17,14 @@ function directed(vector: Vec3): Vector3 {
   return v.lengthSq() > 0 ? v.normalize() : Z.clone();
 }
 
-/** A surface of revolution about z from (radius, z) pairs. */
-function revolved(profile: ReadonlyArray<readonly [number, number]>): BufferGeometry {
-  const geometry = new LatheGeometry(
-    profile.map(([radius, z]) => new Vector2(Math.max(radius, 0), z)),
-    40,
-  );
-  // The lathe turns about y; the shaft runs along z.
-  return geometry.rotateX(Math.PI / 2);
-}
-
 export class Instrument {
   readonly group = new Group();
   /** What is drawn to explain: the force and the contact. */
   readonly overlays = new Group();
   private readonly probe = new Group();
   private readonly jaws: Group[] = [];
+  /** In the abdominal wall, where the shaft goes through it. */
+  private readonly trocar = new Group();
   private readonly arrow = new Group();
   private readonly arrowShaft: Mesh;
   private readonly arrowHead: Mesh;
@@ -61,31 +41,24 @@ export class Instrument {
   arrowScale_m_per_n = 0.02;
 
   constructor(private readonly tool: ToolInfo) {
-    const tip = tool.tip_radius_m;
-    const shaft = Math.min(tool.shaft_radius_m, tip > 0 ? Math.max(tip * 0.98, 1e-4) : tool.shaft_radius_m);
-    const length = Math.max(tool.shaft_length_m, 4 * tip);
-    this.tipRadius_m = tip;
-
-    const steel = solidMaterial({ colour: 0xc9ced4, metal: 1, softness: 0.14, bandSpacing_m: MARK_SPACING_M });
-    const polished = solidMaterial({ colour: 0xe4e8ec, metal: 1, softness: 0.06 });
-    const grip = solidMaterial({ colour: 0x20262c, metal: 0, softness: 0.3 });
-    // The neck leaves the sphere where its radius has come down to the shaft's.
-    const neck = tool.jaws?.length_m ?? Math.sqrt(Math.max(tip * tip - shaft * shaft, 0));
-    const glass = solidMaterial({ colour: 0x0b1620, metal: 0, softness: 0.04 });
-    if (tool.jaws === null) this.probe.add(new Mesh(new SphereGeometry(tip, 40, 28), tool.optics === null ? polished : glass));
-    else this.addJaws(tool.jaws, polished);
-    this.probe.add(new Mesh(new CylinderGeometry(shaft, shaft, length - neck, 40, 1, true)
-      .rotateX(Math.PI / 2)
-      .translate(0, 0, neck + (length - neck) / 2), steel));
-    const handle = 1.9 * shaft;
-    const gripLength = Math.min(0.09, 0.4 * length);
-    this.probe.add(new Mesh(revolved([
-      [shaft, length - gripLength],
-      [handle, length - gripLength + 0.006],
-      [handle, length - 0.004],
-      [handle * 0.7, length],
-      [0, length],
-    ]), grip));
+    this.tipRadius_m = tool.tip_radius_m;
+    const surfaces = new Surfaces();
+    const put = (into: Group, parts: readonly Part[]): void => {
+      for (const { geometry, look } of parts) into.add(new Mesh(geometry, surfaces.of(look)));
+    };
+    const { fixed, jaws, hinge_m } = instrumentParts(tool);
+    put(this.probe, fixed);
+    for (const parts of jaws) {
+      const jaw = new Group();
+      jaw.position.set(0, 0, hinge_m);
+      put(jaw, parts);
+      this.jaws.push(jaw);
+      this.probe.add(jaw);
+    }
+    if (tool.trocar_m !== null) {
+      this.trocar.position.set(...tool.trocar_m);
+      put(this.trocar, trocarParts(tool.shaft_radius_m));
+    }
 
     const amber = solidMaterial({ colour: 0xffa028, metal: 0, softness: 0.4, glow: 0.55 });
     this.arrowShaft = new Mesh(new CylinderGeometry(1, 1, 1, 20).rotateX(Math.PI / 2).translate(0, 0, 0.5), amber);
@@ -94,23 +67,10 @@ export class Instrument {
     const blue = solidMaterial({ colour: 0x58d0ff, metal: 0, softness: 0.4, glow: 0.9 });
     this.contactMark = new Mesh(new SphereGeometry(1, 20, 14), blue);
     this.overlays.add(this.arrow, this.contactMark);
-    this.group.add(this.probe, this.overlays);
+    this.group.add(this.probe, this.trocar, this.overlays);
     for (const part of [this.arrow, this.contactMark]) part.visible = false;
     this.pose(tool.home_tip_m, tool.home_shaft, 0, [0, 0, 0]);
     this.openJaws(tool.home_jaw);
-  }
-
-  /** Two jaws about the hinge, each a rod along -z in the frame of the hinge. */
-  private addJaws(jaws: JawsInfo, material: ReturnType<typeof solidMaterial>): void {
-    const { length_m } = jaws;
-    for (let side = 0; side < 2; side++) {
-      const jaw = new Group();
-      jaw.position.set(0, 0, length_m);
-      const rod = new CapsuleGeometry(this.tipRadius_m, length_m, 8, 16).rotateX(Math.PI / 2).translate(0, 0, -length_m / 2);
-      jaw.add(new Mesh(rod, material));
-      this.jaws.push(jaw);
-      this.probe.add(jaw);
-    }
   }
 
   /** Direction of the shaft as shown, tip to handle. */
@@ -131,6 +91,7 @@ export class Instrument {
     const turn = new Quaternion().setFromUnitVectors(FRONT, directed(shaft));
     const roll = new Quaternion().setFromAxisAngle(Z, roll_rad);
     this.probe.quaternion.copy(turn.multiply(FRONT_AXES).multiply(roll));
+    this.trocar.quaternion.copy(this.probe.quaternion);
   }
 
   private openJaws(jaw: number): void {

@@ -67,6 +67,9 @@ export const BINDINGS: readonly Binding[] = [
   own("view", "theatre", "N", plain("n")),
   own("view", "wipe", "D", plain("d")),
   own("view", "outside", "Shift N", [{ key: "n", shift: true }]),
+  own("view", "detail", "Shift T", [{ key: "t", shift: true }]),
+  own("view", "stereo", "Shift D", [{ key: "d", shift: true }]),
+  own("view", "headset", "Shift V", [{ key: "v", shift: true }]),
   own("instrument", "tool_place", "G", plain("g")),
   own("instrument", "tool_left", "J", both("j"), true),
   own("instrument", "tool_right", "L", both("l"), true),
@@ -89,9 +92,10 @@ export const BINDINGS: readonly Binding[] = [
   own("program", "panel", "Shift P", [{ key: "p", shift: true }]),
   own("program", "plot", "Shift F", [{ key: "f", shift: true }]),
   own("program", "plot_next", "Shift G", [{ key: "g", shift: true }]),
-  own("program", "plot_save", "Shift S", [{ key: "s", shift: true }]),
-  own("program", "devices", "Shift D", [{ key: "d", shift: true }]),
+  own("program", "plot_save", "Shift A", [{ key: "a", shift: true }]),
+  own("program", "devices", "Shift E", [{ key: "e", shift: true }]),
   own("program", "screenshot", "S", plain("s")),
+  own("program", "sound", "Shift S", [{ key: "s", shift: true }]),
   own("program", "profiler", "P", plain("p")),
   own("program", "help", "H or F1", plain("h", "f1", "?")),
   own("program", "start_page", "Shift Q", [{ key: "q", shift: true }]),
@@ -114,6 +118,8 @@ const OF_SLIDERS = /^( |Arrow.*|Home|End|Page.*)$/;
 export function isForPart({ target, key }: Pick<KeyboardEvent, "target" | "key">): boolean {
   const isTyped = target instanceof HTMLInputElement && target.inputMode === "decimal";
   if (target instanceof HTMLSelectElement || isTyped) return key !== "Escape";
+  // Page keys scroll what is too long.
+  if (target instanceof HTMLElement && target.matches("[tabindex]") && target.scrollHeight > target.clientHeight && key.startsWith("Page")) return true;
   if (target instanceof HTMLInputElement) return OF_SLIDERS.test(key);
   return target instanceof HTMLButtonElement && (key === " " || key === "Enter");
 }

@@ -40,6 +40,8 @@ export class Laboratory {
     this.turning = new Turning(page.turning, (message) => connection().send(message));
     this.inside = new Inside(page.inside, scene.inside, connection, (plane) => {
       scene.inside.cut(plane, scene.organs.values(), scene.renderer);
+      // Drops would hang in the air where tissue is taken away.
+      scene.field.group.visible = plane === null;
       events.redraw();
     });
     this.inputs = new Inputs(connection, hands, motion, news, events);

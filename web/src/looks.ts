@@ -1,6 +1,7 @@
 /** What of the viewer is switched on, and kept for the next time: the look of the organ, what is drawn with it, panel and plot. */
 import type { Connection } from "./connection";
 import type { Contacts } from "./contacts";
+import { nextDetail, type DetailChoice } from "./detail";
 import type { Action } from "./keys";
 import { text } from "./language";
 import { SURFACE_STYLES } from "./organ";
@@ -8,17 +9,28 @@ import type { ShownParts } from "./overlays";
 import type { Panel } from "./panel";
 import type { Scene3d } from "./scene3d";
 import { keepSettings, readSettings, type Settings } from "./settings";
+import { Sound } from "./sound";
+import { nextStereo } from "./theatre/stereo";
 import type { Theatre } from "./theatre/view";
 
 /** On a narrower page the panel begins with the force alone [CSS pixels]. */
 const NARROW_PX = 560;
 
-export type Switch = "wireframe" | "contacts" | "forces" | "fixed_nodes" | "profiler" | "panel" | "plot";
+/** The actions that turn a switch, or go on to its next place. */
+const SWITCHES = ["wireframe", "contacts", "forces", "fixed_nodes", "profiler", "panel", "plot", "detail", "sound", "stereo"] as const;
+export type Switch = (typeof SWITCHES)[number];
+
+export function isSwitch(action: Action): action is Switch {
+  return (SWITCHES as readonly string[]).includes(action);
+}
 
 type Shown = { -readonly [name in keyof ShownParts]: ShownParts[name] };
 
 export class Looks {
   readonly shown: Shown;
+  readonly sound = new Sound();
+  /** How much is drawn, as it was chosen. */
+  private detail: DetailChoice;
   /** The panel was never asked for: it is open where there is room. */
   private panelIsUsual: boolean;
   private readonly panelSwitch = document.createElement("button");
@@ -31,12 +43,15 @@ export class Looks {
     private readonly theatre: Theatre,
     private readonly contacts: Contacts,
     run: (action: Action) => void,
+    private readonly tell: (words: string) => void,
   ) {
-    const { style, contacts: hasContacts, forces, fixedNodes, profiler, panel: isOpen, plot, theatre: on, outside } = readSettings();
-    this.shown = { style, contacts: hasContacts, forces, fixedNodes, profiler, panel: isOpen ?? true, plot };
+    const { style, contacts: hasContacts, forces, fixedNodes, profiler, panel: isOpen, plot, theatre: on, outside, detail, sound, stereo } = readSettings();
+    this.detail = detail;
+    this.shown = { style, contacts: hasContacts, forces, fixedNodes, profiler, panel: isOpen ?? true, plot, sound };
     this.panelIsUsual = isOpen === null;
     theatre.beginsOn = on;
     theatre.outside = outside;
+    theatre.stereo = stereo;
     for (const [button, action] of [[this.panelSwitch, "panel"], [this.plotSwitch, "plot"]] as const) {
       button.type = "button";
       button.className = "panel-switch";
@@ -54,6 +69,8 @@ export class Looks {
   begin(connection: Connection): void {
     this.scene.setStyle(SURFACE_STYLES[this.shown.style]);
     this.scene.showFixed(this.shown.fixedNodes);
+    this.scene.setDetail(this.detail);
+    this.sound.turn(this.shown.sound);
     if (this.shown.contacts) this.contacts.turn(true, connection);
     this.layOut();
   }
@@ -87,9 +104,22 @@ export class Looks {
       case "plot":
         shown.plot = !shown.plot;
         break;
+      case "sound":
+        this.sound.turn(!this.sound.on);
+        shown.sound = this.sound.on;
+        break;
+      case "stereo":
+        this.theatre.stereo = nextStereo(this.theatre.stereo);
+        this.tell(text(`stereo_${this.theatre.stereo}`));
+        break;
+      case "detail":
+        this.detail = nextDetail(this.detail);
+        this.scene.setDetail(this.detail);
+        this.tell(text(`detail_${this.detail}`));
+        break;
     }
     this.layOut();
-    this.keep({ ...shown, panel: this.panelIsUsual ? null : shown.panel });
+    this.keep({ ...shown, detail: this.detail, stereo: this.theatre.stereo, panel: this.panelIsUsual ? null : shown.panel });
   }
 
   /** What the theatre view is now, as the user chose it. */

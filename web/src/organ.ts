@@ -15,24 +15,12 @@ import {
 } from "three";
 import { uniqueEdges, vertexNormalsInto } from "./geometry";
 import { colourInto } from "./inside/colours";
-import { fractalNoise } from "./noise";
-import { ProtocolError, type BodyInfo, type Snapshot, type Topology } from "./protocol";
+import { tissueGeometry } from "./tissue/geometry";
+import type { TissueLook } from "./tissue/looks";
+import { ProtocolError, type Snapshot, type Topology } from "./protocol";
 
 export type SurfaceStyle = "surface" | "surface_with_edges" | "edges";
 export const SURFACE_STYLES: readonly SurfaceStyle[] = ["surface", "surface_with_edges", "edges"];
-
-/** Size of the coarse colour patches [m]. */
-const PATCH_SIZE_M = 0.035;
-
-/** Noise in [0, 1] at each rest position: the coarse part of the organ's colour. */
-function toneOf(rest_m: Float32Array): Float32Array {
-  const tone = new Float32Array(rest_m.length / 3);
-  for (let i = 0; i < tone.length; i++) {
-    const [x, y, z] = [0, 1, 2].map((k) => rest_m[3 * i + k] / PATCH_SIZE_M) as [number, number, number];
-    tone[i] = fractalNoise(x, y, z, 4);
-  }
-  return tone;
-}
 
 /** 1 for each vertex that lies in cuts alone, 0 where the organ's own surface is. */
 export function insideOf({ nodeIds, triangles, isCut }: Topology): Float32Array {
@@ -41,21 +29,6 @@ export function insideOf({ nodeIds, triangles, isCut }: Topology): Float32Array 
     if (isCut[Math.floor(i / 3)] === 0) inside[vertex] = 0;
   });
   return inside;
-}
-
-/** How much of a field's colour shows: all of it, whatever lies above and below (`materials.ts`). */
-const FIELD_PAINT = 2;
-
-/** A rigid body without a colour of its own: bone. */
-const RIGID_COLOR = "#d8d0bc";
-
-/** Colour of each vertex by its body, and how much of it shows. */
-export function paintOf({ bodyOf }: Topology, bodies: readonly BodyInfo[]): Float32Array {
-  const colors = bodies.map(({ color, is_rigid }) => color ?? (is_rigid ? RIGID_COLOR : null));
-  const paints = colors.map((color) => (color === null ? [0, 0, 0, 0] : [...new Color(color).toArray(), 0.85]));
-  const paint = new Float32Array(4 * bodyOf.length);
-  bodyOf.forEach((body, vertex) => paint.set(paints[body] ?? [0, 0, 0, 0], 4 * vertex));
-  return paint;
 }
 
 /** The triangles of the bodies that are not hidden. */
@@ -71,6 +44,7 @@ export class Organ {
   private readonly normals: Float32Array;
   private readonly position: BufferAttribute;
   private readonly normal: BufferAttribute;
+  private readonly burnt: BufferAttribute;
   /** Of the bodies that are shown: what can be picked. */
   triangles: Uint32Array;
   private readonly surface: Mesh;
@@ -78,33 +52,22 @@ export class Organ {
   private readonly fixed: Points;
   private readonly geometries: BufferGeometry[];
   private readonly paint: BufferAttribute;
-  private readonly ownPaint: Float32Array;
   private isColoured = false;
 
   constructor(
     readonly topology: Topology,
     fixedNodes: ReadonlySet<number>,
     material: ShaderMaterial,
-    bodies: readonly BodyInfo[] = [],
+    looks: readonly TissueLook[],
   ) {
-    const { rest_m, triangles, nodeIds } = topology;
-    this.positions_m = rest_m.slice();
-    this.normals = new Float32Array(rest_m.length);
-    vertexNormalsInto(rest_m, triangles, this.normals);
-    this.position = new BufferAttribute(this.positions_m, 3).setUsage(DynamicDrawUsage);
-    this.normal = new BufferAttribute(this.normals, 3).setUsage(DynamicDrawUsage);
-
-    const geometry = new BufferGeometry();
-    geometry.setAttribute("position", this.position);
-    geometry.setAttribute("normal", this.normal);
-    geometry.setAttribute("restPosition", new BufferAttribute(rest_m.slice(), 3));
-    geometry.setAttribute("restNormal", new BufferAttribute(this.normals.slice(), 3));
-    geometry.setAttribute("tone", new BufferAttribute(toneOf(rest_m), 1));
-    geometry.setAttribute("inside", new BufferAttribute(insideOf(topology), 1));
-    this.ownPaint = paintOf(topology, bodies);
-    this.paint = new BufferAttribute(this.ownPaint.slice(), 4).setUsage(DynamicDrawUsage);
-    geometry.setAttribute("paint", this.paint);
-    geometry.setIndex(new BufferAttribute(triangles, 1));
+    const { rest_m, triangles, nodeIds, bodyOf } = topology;
+    const geometry = tissueGeometry({ rest_m, triangles, inside: insideOf(topology), lookAt: (vertex) => looks[bodyOf[vertex]] ?? looks[0] });
+    this.position = (geometry.getAttribute("position") as BufferAttribute).setUsage(DynamicDrawUsage);
+    this.normal = (geometry.getAttribute("normal") as BufferAttribute).setUsage(DynamicDrawUsage);
+    this.paint = (geometry.getAttribute("paint") as BufferAttribute).setUsage(DynamicDrawUsage);
+    this.burnt = geometry.getAttribute("burnt") as BufferAttribute;
+    this.positions_m = this.position.array as Float32Array;
+    this.normals = this.normal.array as Float32Array;
     this.triangles = triangles;
     this.surface = new Mesh(geometry, material);
 
@@ -161,12 +124,19 @@ export class Organ {
     if (values === null && !this.isColoured) return;
     this.isColoured = values !== null;
     const paint = this.paint.array as Float32Array;
-    if (values === null) paint.set(this.ownPaint);
+    if (values === null) paint.fill(0);
     values?.forEach((value, vertex) => {
       colourInto(value / top, paint, 4 * vertex);
-      paint[4 * vertex + 3] = FIELD_PAINT;
+      paint[4 * vertex + 3] = 1;
     });
     this.paint.needsUpdate = true;
+  }
+
+  /** How much each vertex is burnt, 0 to 1, by its place at rest. */
+  burn(amountAt: (rest_m: ArrayLike<number>, offset: number) => number): void {
+    const { rest_m } = this.topology;
+    for (let i = 0; i < this.burnt.count; i++) this.burnt.setX(i, amountAt(rest_m, 3 * i));
+    this.burnt.needsUpdate = true;
   }
 
   /** Of what is drawn on the surface. */

@@ -3,6 +3,7 @@ import { ButtonBar, button, type ButtonGroups } from "./button_bar";
 import type { ConnectionState } from "./connection";
 import { BINDINGS, type Action, type Binding } from "./keys";
 import { languageChoice, text } from "./language";
+import type { Stereo } from "./theatre/stereo";
 import type { Page } from "./page";
 
 function element(name: string, className: string, words = ""): HTMLElement {
@@ -34,6 +35,8 @@ export class Help {
     this.root.setAttribute("aria-label", text("help_label"));
     this.root.hidden = true;
     const page = element("div", "help-page");
+    // Keys scroll it.
+    page.tabIndex = 0;
     page.append(element("h1", "", text("help_title")));
     const columns = element("div", "help-columns");
     for (const [title, lines] of groups) columns.append(this.group(title, lines));
@@ -124,9 +127,9 @@ export function showConnection(page: Pick<Page, "link" | "banner">, state: Conne
 const GROUPS = [
   [["pause", "␣"], ["single_step", "→"], ["slow_motion", "<"], ["reset_simulation", "⇧R"], ["next_model", "M"], ["turning", "⇧M"]],
   [["reset_view", "R"], ["wireframe", "W"], ["fixed_nodes", "T"], ["contacts", "C"], ["forces", "F"], ["field", "⇧C"], ["plane", "⇧X"]],
-  [["theatre", "N"], ["wipe", "D"], ["outside", "⇧N"]],
+  [["theatre", "N"], ["wipe", "D"], ["outside", "⇧N"], ["stereo", "⇧D"], ["headset", "⇧V"]],
   [["cut", "X"]],
-  [["panel", "⇧P"], ["screenshot", "S"], ["profiler", "P"], ["devices", "⇧D"], ["help", "H"]],
+  [["panel", "⇧P"], ["screenshot", "S"], ["sound", "⇧S"], ["profiler", "P"], ["devices", "⇧E"], ["help", "H"]],
   [["start_page", "⇧Q"]],
 ] as const;
 
@@ -142,6 +145,7 @@ export interface ShownParts {
   /** All measurements instead of the force alone. */
   readonly panel: boolean;
   readonly plot: boolean;
+  readonly sound: boolean;
 }
 
 /** What of the theatre view is switched on. */
@@ -150,11 +154,14 @@ export interface ShownTheatre {
   readonly endoscope: number | null;
   readonly on: boolean;
   readonly showsOutside: boolean;
+  readonly stereo: Stereo;
 }
 
 export class Toolbar extends ButtonBar<Action> {
   constructor(root: HTMLElement, run: (action: Action) => void) {
     super(root, BUTTONS, BINDINGS, run);
+    // Until one is found.
+    this.offer("headset", false);
   }
 
   /** Shows all switches as on or off. */
@@ -167,6 +174,8 @@ export class Toolbar extends ButtonBar<Action> {
     this.set("forces", shown.forces);
     this.set("fixed_nodes", shown.fixedNodes);
     this.set("profiler", shown.profiler);
+    this.set("sound", shown.sound);
+    this.set("stereo", theatre.stereo !== "off");
     this.set("panel", shown.panel);
     this.set("help", help);
     this.set("theatre", theatre.on);
@@ -174,7 +183,7 @@ export class Toolbar extends ButtonBar<Action> {
     this.name("start_page", text(leaving === "asked" ? "button_end_it" : "button_start_page"));
     this.offer("start_page", leaving !== null);
     this.offer("theatre", theatre.endoscope !== null);
-    for (const action of ["wipe", "outside"] as const) this.offer(action, theatre.on);
+    for (const action of ["wipe", "outside", "stereo"] as const) this.offer(action, theatre.on);
   }
 }
 

@@ -10,14 +10,17 @@ import {
   type ShaderMaterial,
 } from "three";
 import { BleedingMarks } from "./bleeding";
+import { OperatingField } from "./field/field";
 import { ContactMarks } from "./contact_marks";
+import { isFull, setFullDetail, type DetailChoice } from "./detail";
 import type { PushStart, Ray, ToolPose, ViewAxes } from "./drag";
 import type { Feel } from "./feel";
 import { pickTriangle, type Pick } from "./geometry";
 import { InsidePicture } from "./inside/picture";
 import { Instrument } from "./instrument";
-import { organMaterial } from "./materials";
-import { tissueTexture } from "./noise";
+import { patternTexture, tissueTexture } from "./noise";
+import { organMaterial } from "./tissue/material";
+import { looksOf } from "./tissue/looks";
 import { TaskMarks } from "./task_marks";
 import { ThreadMarks } from "./thread_marks";
 import { cameraPosition, FIELD_OF_VIEW_DEG, orbitThatShows, viewAxes, type Orbit } from "./orbit";
@@ -66,17 +69,22 @@ export class Scene3d {
   /** Number of the instrument in the hand. */
   chosen = 0;
   orbit: Orbit;
+  /** What a headset looks through, while it shows the scene. */
+  inHeadset: PerspectiveCamera | null = null;
   /** Drawn in place of the view from outside. */
   other: OtherView | null = null;
   readonly contactMarks = new ContactMarks();
   readonly taskMarks = new TaskMarks();
   readonly scene = new Scene();
   readonly inside: InsidePicture;
+  readonly field: OperatingField;
   private readonly bleeding = new BleedingMarks();
   private readonly threads = new ThreadMarks();
   /** Noise of what is made up of tissue. */
   readonly tissue = tissueTexture();
-  private readonly material: ShaderMaterial;
+  readonly patterns = patternTexture();
+  /** Of all tissue. */
+  readonly material: ShaderMaterial;
   private hello: Hello | null = null;
   private style: SurfaceStyle = "surface";
   private fixedShown = false;
@@ -99,9 +107,10 @@ export class Scene3d {
     this.renderer.toneMapping = ACESFilmicToneMapping;
     this.renderer.toneMappingExposure = 1.08;
     this.renderer.setClearColor(0x000000, 0);
-    this.material = organMaterial(this.tissue);
+    this.material = organMaterial(this.tissue, this.patterns);
     this.inside = new InsidePicture(this.material);
-    this.scene.add(this.inside.group, this.bleeding.group, this.contactMarks.group, this.taskMarks.group, this.threads.group);
+    this.field = new OperatingField(this.material);
+    this.scene.add(this.inside.group, this.bleeding.group, this.contactMarks.group, this.taskMarks.group, this.threads.group, this.field.group);
     this.camera.up.set(0, 0, 1);
     this.orbit = orbitThatShows(new Vector3(-0.1, -0.1, -0.1), new Vector3(0.1, 0.1, 0.1), 1);
     this.resize();
@@ -172,6 +181,7 @@ export class Scene3d {
       organ.dispose();
     }
     this.organs.clear();
+    this.field.begin(hello);
     for (const instrument of this.instruments) {
       this.scene.remove(instrument.group);
       instrument.dispose();
@@ -189,12 +199,13 @@ export class Scene3d {
       this.scene.remove(old.group);
       old.dispose();
     }
-    const organ = new Organ(topology, new Set(this.hello?.fixed_nodes ?? []), this.material, this.hello?.bodies);
+    const organ = new Organ(topology, new Set(this.hello?.fixed_nodes ?? []), this.material, looksOf(this.hello?.bodies ?? [], this.hello?.scene.material ?? ""));
     this.inside.cutMarks(organ);
     organ.hide(this.hidden);
     organ.setStyle(this.style);
     organ.showFixed(this.fixedShown);
     this.organs.set(topology.organ, organ);
+    if (topology.organ === 0) this.field.adopt(organ);
     this.taskMarks.setTopology(topology);
     this.scene.add(organ.group);
   }
@@ -203,10 +214,11 @@ export class Scene3d {
   show(snapshot: Snapshot): "changed" | "same" | "other_topology" {
     const organ = this.organs.get(snapshot.header.organ);
     if (organ === undefined || organ.topology.version !== snapshot.header.version) return "other_topology";
-    const isOther = this.inside.show(snapshot.header.inside, organ);
-    if (!organ.show(snapshot) && !isOther) return "same";
-    this.taskMarks.follow(organ.positions_m);
-    return "changed";
+    const isColoured = this.inside.show(snapshot.header.inside, organ);
+    const moved = organ.show(snapshot);
+    if (moved) this.taskMarks.follow(organ.positions_m);
+    const lives = snapshot.header.organ === 0 && this.field.take(snapshot.header, organ);
+    return isColoured || moved || lives ? "changed" : "same";
   }
 
   showTools(header: SnapshotHeader): void {
@@ -264,6 +276,10 @@ export class Scene3d {
   hide(hidden: ReadonlySet<number>): void {
     this.hidden = hidden;
     for (const organ of this.organs.values()) organ.hide(hidden);
+  }
+
+  setDetail(choice: DetailChoice): void {
+    setFullDetail(isFull(choice, this.software));
   }
 
   showFixed(shown: boolean): void {
@@ -330,6 +346,7 @@ export class Scene3d {
 
   /** Draws; when the processor draws, with `softwareRatio` pixels to a CSS pixel. */
   render(softwareRatio: number): void {
+    if (this.inHeadset !== null) return this.renderer.render(this.scene, this.inHeadset);
     if (this.software && this.renderer.getPixelRatio() !== softwareRatio) {
       this.renderer.setPixelRatio(softwareRatio);
       this.renderer.setSize(this.width, this.height, false);

@@ -1,5 +1,7 @@
 /** What the user chose, kept by the browser under one key. Storage that is broken, full or forbidden does no harm: then nothing is kept. */
 
+import { DETAIL_CHOICES, type DetailChoice } from "./detail";
+import { STEREO, type Stereo } from "./theatre/stereo";
 import { CHARTS, type ChartKind } from "./chart_kinds";
 import { FIELDS, type FieldKind } from "./inside/snapshot";
 import { padsOf, pedalsOf, type PadMappings, type Pedals } from "./input_devices/mapping";
@@ -32,6 +34,10 @@ export interface Settings {
   /** All measurements instead of the force alone; null until it was chosen: where there is room. */
   readonly panel: boolean | null;
   readonly plot: boolean;
+  readonly detail: DetailChoice;
+  readonly sound: boolean;
+  /** Two pictures for two eyes, through the endoscope. */
+  readonly stereo: Stereo;
 }
 
 export const USUAL: Settings = {
@@ -49,6 +55,9 @@ export const USUAL: Settings = {
   field: "none",
   pads: {},
   pedals: {},
+  detail: "auto",
+  sound: false,
+  stereo: "off",
 };
 
 export type Store = Pick<Storage, "getItem" | "setItem">;
@@ -76,7 +85,7 @@ export function settingsOf(text: string | null): Settings {
     const found = kept[name];
     return typeof found === "boolean" ? found : usual;
   };
-  const { language, style } = kept;
+  const { language, style, detail, stereo } = kept;
   return {
     language: language === "en" || language === "fr" ? language : null,
     style: typeof style === "number" && Number.isInteger(style) && style >= 0 && style < N_STYLES ? style : USUAL.style,
@@ -92,6 +101,9 @@ export function settingsOf(text: string | null): Settings {
     field: FIELDS.find((field) => field === kept.field) ?? USUAL.field,
     pads: padsOf(kept.pads),
     pedals: pedalsOf(kept.pedals),
+    detail: DETAIL_CHOICES.find((choice) => choice === detail) ?? USUAL.detail,
+    sound: flag("sound", USUAL.sound),
+    stereo: STEREO.find((choice) => choice === stereo) ?? USUAL.stereo,
   };
 }
 

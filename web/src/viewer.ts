@@ -9,7 +9,7 @@ import { rollOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M,
 import { text } from "./language";
 import { Laboratory } from "./laboratory";
 import { goesElsewhere, Leaving } from "./leaving";
-import { Looks } from "./looks";
+import { isSwitch, Looks } from "./looks";
 import type { Orbit } from "./orbit";
 import { drawOrientation } from "./orientation";
 import { Help, Messages, savePicture, showConnection, Toolbar } from "./overlays";
@@ -23,6 +23,7 @@ import { Resolution } from "./resolution";
 import { Scene3d } from "./scene3d";
 import { Table } from "./table";
 import { TaskPanel } from "./task";
+import { Headset } from "./theatre/headset";
 import { Theatre } from "./theatre/view";
 import type { ToolDriver } from "./tool_driver";
 
@@ -57,6 +58,7 @@ export class Viewer {
   private frameAsked = false;
   private lastFrame_ms: number | null = null;
   private readonly looks: Looks;
+  private readonly headset: Headset;
   private readonly leaving: Leaving;
   private readonly counters = newCounters();
 
@@ -85,7 +87,8 @@ export class Viewer {
     window.addEventListener("error", (event) => this.messages.error(text("page_error", { message: event.message })));
     window.addEventListener("unhandledrejection", (event) => this.messages.error(text("page_error", { message: String(event.reason) })));
     const sizes = new ResizeObserver(() => this.resize());
-    for (const part of [page.scene, page.toolbar, page.panel, page.task]) sizes.observe(part);
+    // Not the canvas, which is as deep as the panel: what is changed while one size is told has to be deeper to be told, too.
+    for (const part of [page.scene.parentElement!, page.toolbar, page.panel, page.task]) sizes.observe(part);
     page.scene.addEventListener("webglcontextlost", () => this.messages.error(text("graphics_lost")));
 
     this.connection = new Connection(socketAddress(window.location.href), {
@@ -107,8 +110,13 @@ export class Viewer {
       notice: (words) => this.messages.notice(words),
       changed: () => this.refreshSwitches(),
     });
-    this.looks = new Looks(page.panel, this.panel, this.scene, this.theatre, this.contacts, (action) => this.run(action, false));
+    this.looks = new Looks(page.panel, this.panel, this.scene, this.theatre, this.contacts, (action) => this.run(action, false), (words) => this.messages.notice(words));
     this.looks.begin(this.connection);
+    this.headset = new Headset(this.scene, this.messages, {
+      // The head moves: every frame is drawn.
+      frame: (now_ms) => { this.sceneChanged = true; this.frame(now_ms); },
+      found: () => this.toolbar.offer("headset", true),
+    });
     this.showProfiler();
     this.resize();
     this.connection.open();
@@ -206,6 +214,8 @@ export class Viewer {
     const tool = toolNumber(action);
     if (tool !== null) this.choose(tool);
     if (action === "bodies") this.bodies.hideNext();
+    if (isSwitch(action)) this.looks.turn(action, this.connection);
+    if (action === "profiler") this.showProfiler();
     switch (action) {
       case "pause":
       case "single_step":
@@ -249,25 +259,14 @@ export class Viewer {
         this.theatre.toggleOutside();
         this.looks.keepTheatre();
         break;
-      case "wireframe":
-      case "contacts":
-      case "forces":
-      case "fixed_nodes":
-      case "profiler":
-      case "panel":
-      case "plot":
-        this.looks.turn(action, this.connection);
-        if (action === "profiler") this.showProfiler();
-        break;
+      case "headset": void this.headset.enter(); break;
       case "start_page":
         this.leaving.press(this.hello?.can_leave === true, performance.now());
         break;
       case "help":
         this.help.open = !this.help.open;
         break;
-      case "screenshot":
-        void this.screenshot();
-        break;
+      case "screenshot": void this.screenshot(); break;
       case "leave":
         this.leave();
         break;
@@ -372,6 +371,7 @@ export class Viewer {
     const drawn = (h: SnapshotHeader | null): string => (h === null ? "" : JSON.stringify([h.tools, h.bleeding?.ends, h.contactPoints, h.threads]));
     if (drawn(header) !== drawn(this.header)) this.sceneChanged = true;
     this.contacts.take(header.contactPoints);
+    this.looks.sound.take(header, this.hello);
     this.task.tick(header.time_s);
     this.header = headerOfHand(header, this.hands.chosen);
   }

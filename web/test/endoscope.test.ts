@@ -1,8 +1,10 @@
-import { Vector3 } from "three";
+import { Mesh, PerspectiveCamera, Vector3 } from "three";
 import { describe, expect, it } from "vitest";
 import { advanced, ADVANCE_M, eyeOf, pivoted } from "../src/theatre/endoscope";
 import { bent, rayThrough, seenAt, straightened } from "../src/theatre/lens";
+import { nextStereo, throughLens } from "../src/theatre/stereo";
 import { distortionOf } from "../src/theatre/view";
+import { distanceToWalls_m } from "../src/theatre/walls";
 
 const SHAFT = [0.3, -0.8, -0.5].map((x) => x / Math.hypot(0.3, 0.8, 0.5)) as [number, number, number];
 const FIELD = (70 * Math.PI) / 180;
@@ -77,5 +79,38 @@ describe("the lens", () => {
     expect(distortionOf("?distortion=0")).toBe(0);
     expect(distortionOf("?view=theatre&distortion=0.2")).toBe(0.2);
     expect(distortionOf("")).toBe(distortionOf("?distortion=7"));
+  });
+});
+
+describe("stereo", () => {
+  it("what is at the distance of the crossing is at the same place for both eyes, what is nearer is crossed", () => {
+    const seen = (side: -1 | 1, z: number): number => {
+      const camera = new PerspectiveCamera(70, 1, 0.001, 1);
+      throughLens(camera, side, 0.1);
+      return new Vector3(0, 0, z).project(camera).x;
+    };
+    expect(seen(-1, -0.1)).toBeCloseTo(0, 12);
+    expect(seen(1, -0.1)).toBeCloseTo(0, 12);
+    // The left eye sees what is nearer further to the right.
+    expect(seen(-1, -0.05)).toBeGreaterThan(0.01);
+    expect(seen(1, -0.05)).toBeCloseTo(-seen(-1, -0.05), 12);
+    expect(seen(-1, -0.3)).toBeLessThan(0);
+  });
+
+  it("goes around its choices", () => {
+    expect([nextStereo("off"), nextStereo("side_by_side"), nextStereo("anaglyph")]).toEqual(["side_by_side", "anaglyph", "off"]);
+  });
+});
+
+describe("the walls", () => {
+  it("are as far away as the ellipsoid is", () => {
+    const walls = new Mesh();
+    walls.position.set(1, 0, 0);
+    walls.scale.set(0.1, 0.2, 0.3);
+    const ray = { origin: new Vector3(1.05, 0, 0), direction: new Vector3(1, 0, 0) };
+    expect(distanceToWalls_m(walls, ray)).toBeCloseTo(0.05, 12);
+    expect(distanceToWalls_m(walls, { ...ray, direction: new Vector3(-1, 0, 0) })).toBeCloseTo(0.15, 12);
+    expect(distanceToWalls_m(walls, { origin: new Vector3(1, 0, 0), direction: new Vector3(0, 0, 1) })).toBeCloseTo(0.3, 12);
+    expect(distanceToWalls_m(walls, { ...ray, origin: new Vector3(2, 0, 0) })).toBe(Infinity);
   });
 });

@@ -27,6 +27,9 @@ const OTHER: Settings = {
   field: "stress",
   pads: { "A pad": { ...USUAL_PAD, instrument: 1, deadZone: 0.3 } },
   pedals: { KeyB: { action: "trigger", instrument: 0, whileHeld: true } },
+  detail: "low",
+  sound: true,
+  stereo: "anaglyph",
 };
 
 describe("what the user chose", () => {

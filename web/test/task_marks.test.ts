@@ -1,6 +1,7 @@
 import { Vector3 } from "three";
 import { describe, expect, it } from "vitest";
-import { nearestOnSurface, pointsOf, TaskMarks } from "../src/task_marks";
+import { nearestOnSurface } from "../src/field/on_surface";
+import { pointsOf, TaskMarks } from "../src/task_marks";
 
 /** A square of two triangles in the plane z = 0, and a third one that lies in a cut. */
 const TOPOLOGY = {
@@ -11,10 +12,11 @@ const TOPOLOGY = {
 
 describe("marks of a task", () => {
   it("are at the nearest place of the skin, and not in a cut", () => {
-    const { vertices, weights } = nearestOnSurface(new Vector3(0.5, 0.25, 0.09), TOPOLOGY)!;
+    const nearest = (x: number, y: number, z: number) => nearestOnSurface(new Vector3(x, y, z), TOPOLOGY.rest_m, TOPOLOGY.triangles, (t) => TOPOLOGY.isCut[t] === 1)!;
+    const { vertices, weights } = nearest(0.5, 0.25, 0.09);
     expect(vertices).toEqual([0, 1, 2]);
     expect(weights.map((weight) => Math.round(100 * weight))).toEqual([50, 25, 25]);
-    const beside = nearestOnSurface(new Vector3(-1, 0.5, 0), TOPOLOGY)!;
+    const beside = nearest(-1, 0.5, 0);
     expect(beside.vertices).toEqual([0, 2, 3]);
     expect(beside.weights[1]).toBe(0);
   });

@@ -197,6 +197,7 @@ fn browser(scene: &Path) -> anyhow::Result<()> {
     theatre(scene, &chromium)?;
     tasks(&chromium)?;
     start(&chromium)?;
+    accessibility(&chromium)?;
     replay(scene, &chromium)
 }
 
@@ -231,6 +232,11 @@ fn tasks(chromium: &Path) -> anyhow::Result<()> {
 fn start(chromium: &Path) -> anyhow::Result<()> {
     browser_test("test:start", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())?;
     browser_test("test:laboratory", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
+}
+
+/// What axe-core finds on every page.
+fn accessibility(chromium: &Path) -> anyhow::Result<()> {
+    browser_test("test:accessibility", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
 }
 
 /// Runs a browser test that needs to know one thing.

@@ -41,9 +41,14 @@ export class InsidePicture {
     for (const organ of organs) this.cutMarks(organ);
   }
 
+  /** What is on their other side is shown. */
+  get planes(): Plane[] | null {
+    return this.hasPlane ? [this.plane] : null;
+  }
+
   /** Edges and fixed nodes of an organ end at the plane, too. */
   cutMarks(organ: Organ): void {
-    for (const material of organ.markMaterials as readonly Material[]) material.clippingPlanes = this.hasPlane ? [this.plane] : null;
+    for (const material of organ.markMaterials as readonly Material[]) material.clippingPlanes = this.planes;
   }
 
   /** Answers whether the picture is another one now. */

@@ -7,7 +7,7 @@ import type { TextKey } from "../texts_en";
 export type PlayerAction =
   | "play" | "frame_back" | "frame_on" | "second_back" | "second_on" | "begin" | "end" | "slower" | "faster" | "moment_back" | "moment_on"
   | "reset_view" | "turn_left" | "turn_right" | "turn_up" | "turn_down" | "nearer" | "further" | "wireframe" | "forces" | "fixed_nodes"
-  | "bodies" | "theatre" | "wipe" | "outside" | "tool_1" | "tool_2" | "tool_3" | "tool_4" | "screenshot" | "help" | "leave";
+  | "bodies" | "theatre" | "wipe" | "outside" | "detail" | "tool_1" | "tool_2" | "tool_3" | "tool_4" | "screenshot" | "help" | "leave";
 
 /** `<` and `>` need Shift on most keyboards, and not on all. */
 const typed = (key: string) => [{ key, shift: false }, { key, shift: true }];
@@ -41,7 +41,7 @@ export const PLAYER_BINDINGS: ReadonlyArray<Binding<PlayerAction>> = [
   own("view", "turn_down", "K", plain("k"), true),
   own("view", "nearer", "U", plain("u"), true),
   own("view", "further", "O", plain("o"), true),
-  ...asInViewer("wireframe", "forces", "fixed_nodes", "bodies", "theatre", "wipe", "outside"),
+  ...asInViewer("wireframe", "forces", "fixed_nodes", "bodies", "theatre", "wipe", "outside", "detail"),
   own("instrument", "tool_1", "1", plain("1")),
   own("instrument", "tool_2", "2", plain("2")),
   own("instrument", "tool_3", "3", plain("3")),

@@ -4,12 +4,13 @@ import { ButtonBar } from "../button_bar";
 import { Controls } from "../controls";
 import { actionIn, toolNumber } from "../keys";
 import { panned, turned, zoomed, type Orbit } from "../orbit";
+import { nextDetail, type DetailChoice } from "../detail";
+import { text } from "../language";
 import { drawOrientation } from "../orientation";
 import { SURFACE_STYLES } from "../organ";
 import { Help, helpOf, Messages, savePicture } from "../overlays";
 import { Panel, panelValues } from "../panel";
 import { drawChart, forceChart } from "../charts";
-import { text } from "../language";
 import { arrowScale_m_per_n, ForceHistory, PLOT_SPAN_S } from "../plot";
 import { headerOfHand, type HandHeader, type Hello, type SnapshotHeader, type Topology } from "../protocol";
 import { Resolution } from "../resolution";
@@ -70,7 +71,7 @@ export class Player {
   private sceneChanged = true;
   private frameAsked = false;
   private lastFrame_ms: number | null = null;
-  private readonly shown = { style: 0, forces: true, fixedNodes: false };
+  private readonly shown = { style: 0, forces: true, fixedNodes: false, detail: "auto" as DetailChoice };
 
   constructor(private readonly page: ReplayPage, private readonly recording: Recording) {
     this.hello = recording.helloAt(0);
@@ -78,6 +79,7 @@ export class Player {
     this.largest_n = this.hello.tools.map((_, tool) => recording.forces_n.reduce((max, forces) => Math.max(max, forces[tool] ?? 0), 0));
     this.messages = new Messages(page.messages);
     this.scene = new Scene3d(page.scene);
+    this.scene.setDetail(this.shown.detail);
     this.panel = new Panel(page.panel, false);
     this.help = new Help(document.body, [[text("group_mouse"), PLAYER_MOUSE], ...helpOf(PLAYER_BINDINGS)]);
     this.bodies = new BodyList(page.bodies, (hidden) => { this.scene.hide(hidden); this.redraw(); });
@@ -104,7 +106,7 @@ export class Player {
     page.scene.addEventListener("webglcontextlost", () => this.messages.error(text("graphics_lost")));
     this.begin(this.hello);
     const sizes = new ResizeObserver(() => this.resize());
-    for (const part of [page.scene, page.transport, page.story]) sizes.observe(part);
+    for (const part of [page.scene.parentElement!, page.transport, page.story]) sizes.observe(part);
     this.resize();
     this.scene.resetView();
     this.jumpToAddress();
@@ -126,9 +128,8 @@ export class Player {
   }
 
   private choose(tool: number): void {
-    if (tool >= this.hello.tools.length) {
-      return this.messages.error(`There is no instrument ${tool + 1}: this scene has ${this.hello.tools.length}.`);
-    }
+    const { length } = this.hello.tools;
+    if (tool >= length) return this.messages.error(text("no_instrument", { n: tool + 1, m: length }));
     this.scene.choose(tool);
     this.theatre.choose(tool);
     this.timeline.choose(tool, this.hello.tools[tool].name);
@@ -235,6 +236,11 @@ export class Player {
         break;
       case "wipe": this.theatre.smear = 0; break;
       case "outside": this.theatre.toggleOutside(); break;
+      case "detail":
+        this.shown.detail = nextDetail(this.shown.detail);
+        scene.setDetail(this.shown.detail);
+        this.messages.notice(text(`detail_${this.shown.detail}`));
+        break;
       case "screenshot": void savePicture(scene.picture(this.page.orientation), this.header?.step ?? 0, this.messages); break;
       case "help": this.help.open = !this.help.open; break;
       case "leave": this.help.open = false; break;

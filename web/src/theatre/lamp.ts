@@ -5,10 +5,25 @@
  * (GGX). What else shines is light that walls throw back, red. The looks are chosen by eye.
  */
 
-import { Mesh, ShaderMaterial, type Object3D, type ShaderMaterialParameters } from "three";
+import { followsDetail } from "../detail";
+import { Matrix4, Mesh, ShaderMaterial, Vector2, Vector3, type Texture, type Object3D, type ShaderMaterialParameters } from "three";
 
 /** Power of the lamp: irradiance at a metre. Shared by all materials. */
 export const lampPower = { value: 0 };
+
+/** Beside the lens, where its fibres end, in view space [m]. */
+export const LAMP_AT_M = new Vector3(0, 0.0042, 0);
+
+/** What the shaders know of the lamp's shadows (`shadow.ts`), in full detail. Shared by all materials. */
+export const shadows = {
+  depth: { value: null as Texture | null },
+  fromView: { value: new Matrix4() },
+  /** Nearest and furthest depth [m]. */
+  range: { value: new Vector2(0, 1) },
+};
+
+/** The uniforms of {@link LAMP}. */
+export const lampUniforms = { lamp: lampPower, shadowDepth: shadows.depth, shadowFromView: shadows.fromView, shadowRange: shadows.range };
 
 const twins = new WeakMap<ShaderMaterial, ShaderMaterial>();
 
@@ -17,10 +32,11 @@ const twins = new WeakMap<ShaderMaterial, ShaderMaterial>();
  * cost both ways where the processor draws.
  */
 export function withLampTwin(parameters: ShaderMaterialParameters): ShaderMaterial {
-  const uniforms = { ...parameters.uniforms, lamp: lampPower };
+  const uniforms = { ...parameters.uniforms, ...lampUniforms };
   const material = new ShaderMaterial({ ...parameters, uniforms });
   const twin = new ShaderMaterial({ ...parameters, uniforms, defines: { IN_LAMP: "" } });
   twins.set(material, twin);
+  for (const either of [material, twin]) followsDetail(either);
   material.addEventListener("dispose", () => twin.dispose());
   return material;
 }
@@ -42,16 +58,37 @@ export function inLampLight(scene: Object3D, draw: () => void): void {
 /** Needs `schlick`. Places and directions in view space. */
 export const LAMP = /* glsl */ `
 uniform float lamp;
-// Where its fibres end, beside the lens [m].
-const vec3 LAMP_AT = vec3(0.0, 0.0028, 0.0);
+const vec3 LAMP_AT = vec3(${LAMP_AT_M.toArray().map((x) => x.toFixed(4)).join(", ")});
 const vec3 LAMP_COLOUR = vec3(1.0, 0.97, 0.93);
 const vec3 THROWN_BACK = vec3(0.075, 0.026, 0.020);
+#ifdef FULL_DETAIL
+uniform sampler2D shadowDepth;
+uniform mat4 shadowFromView;
+uniform vec2 shadowRange;
+// The share of its light that comes to a place [view space].
+float unshadowed(vec3 p) {
+  vec4 q = shadowFromView * vec4(p, 1.0);
+  vec2 at = 0.5 + 0.5 * q.xy / q.w;
+  float free = 0.0;
+  for (int i = 0; i < 9; i++) {
+    vec2 beside = vec2(float(i % 3) - 1.0, float(i / 3) - 1.0) * 0.0011;
+    float depth = texture2D(shadowDepth, at + beside).r;
+    float ahead = shadowRange.x * shadowRange.y / (shadowRange.y - depth * (shadowRange.y - shadowRange.x));
+    free += step(q.w, ahead + 0.0012 + 0.004 * q.w);
+  }
+  return 0.12 + 0.88 * free / 9.0;
+}
+#endif
 // Irradiance of a surface that faces it, and the direction to it.
 float lampAt(vec3 p, out vec3 to) {
   vec3 way = LAMP_AT - p;
   float distance2 = dot(way, way);
   to = way * inversesqrt(distance2);
-  return lamp * to.z * to.z / (distance2 + 2.5e-5);
+  float power = lamp * to.z * to.z / (distance2 + 2.5e-5);
+#ifdef FULL_DETAIL
+  power *= unshadowed(p);
+#endif
+  return power;
 }
 float lobe(float cosine, float roughness) {
   float a2 = roughness * roughness;

@@ -8,10 +8,12 @@
  * 2001, scaled so that the edge stays where it is. One pass over the picture bends it, darkens its rim and smears it.
  */
 import {
+  AdditiveBlending,
   BufferAttribute,
   BufferGeometry,
   HalfFloatType,
   Mesh,
+  NoBlending,
   OrthographicCamera,
   Scene,
   ShaderMaterial,
@@ -85,6 +87,7 @@ uniform vec2 centre;
 uniform float radius;
 uniform float distortion;
 uniform float smear;
+uniform vec3 channels;
 vec2 straight(vec2 p) {
   return 0.5 + 0.5 * p * (1.0 - distortion) / (1.0 - distortion * dot(p, p));
 }
@@ -125,8 +128,12 @@ void main() {
   gl_FragColor = vec4(colour, 1.0);
   #include <tonemapping_fragment>
   #include <colorspace_fragment>
+  // For coloured glasses as light and dark alone: what is red is black through cyan.
+  if (channels.r + channels.g + channels.b < 2.5) gl_FragColor.rgb = channels * dot(gl_FragColor.rgb, vec3(0.35, 0.5, 0.15));
 }
 `;
+
+const ALL_COLOURS = [1, 1, 1] as const;
 
 /** Draws a square picture through the lens onto the canvas. */
 export class LensPass {
@@ -151,6 +158,7 @@ export class LensPass {
         radius: { value: 1 },
         distortion: { value: distortion },
         smear: { value: 0 },
+        channels: { value: new Vector3(1, 1, 1) },
       },
     };
     this.clear = new ShaderMaterial(parameters);
@@ -168,20 +176,29 @@ export class LensPass {
     if (this.target.width !== side) this.target.setSize(side, side);
   }
 
-  /** Draws the target's picture; `height` of the canvas in CSS pixels. */
-  draw(renderer: WebGLRenderer, circle: Circle, height: number, smear: number): void {
+  /** Draws the target's picture; `height` of the canvas in CSS pixels. As a second picture, into its colours of the first one or beside it. */
+  draw(renderer: WebGLRenderer, circle: Circle, height: number, smear: number, channels: readonly [number, number, number] = ALL_COLOURS, isSecond = false): void {
     const ratio = renderer.getPixelRatio();
     this.triangle.material = smear > 0 ? this.smeared : this.clear;
     const { uniforms } = this.clear;
     (uniforms.centre.value as Vector2).set(circle.x * ratio, (height - circle.y) * ratio);
     uniforms.radius.value = circle.radius * ratio;
     uniforms.smear.value = smear;
+    (uniforms.channels.value as Vector3).set(...channels);
+    for (const material of [this.clear, this.smeared]) {
+      material.blending = isSecond ? AdditiveBlending : NoBlending;
+      material.transparent = isSecond;
+    }
     // Nothing is computed beside the circle.
-    renderer.setClearColor(0x000000, 1);
-    renderer.clear();
+    if (!isSecond) {
+      renderer.setClearColor(0x000000, 1);
+      renderer.clear();
+    }
     renderer.setScissorTest(true);
     renderer.setScissor(circle.x - circle.radius, height - circle.y - circle.radius, 2 * circle.radius, 2 * circle.radius);
+    renderer.autoClear = !isSecond;
     renderer.render(this.scene, this.camera);
+    renderer.autoClear = true;
     renderer.setScissorTest(false);
   }
 

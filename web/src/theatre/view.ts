@@ -2,15 +2,21 @@
  * The theatre view: what the endoscope shows, as a circle on the canvas, and in a corner the picture from outside. Camera and lamp
  * are at the endoscope's tip as the last snapshot has it. A lens that touches tissue is smeared until it is wiped.
  */
-import { PerspectiveCamera, Vector3, type Mesh } from "three";
+import { PerspectiveCamera, Vector3, type Mesh, type Object3D } from "three";
+import { isFullDetail } from "../detail";
 import type { Ray, ViewAxes } from "../drag";
 import { FIELD_OF_VIEW_DEG, viewAxes } from "../orbit";
+import type { OperatingField } from "../field/field";
 import type { Page } from "../page";
 import type { Hello, SnapshotHeader, ToolInfo } from "../protocol";
 import type { OtherView, Scene3d } from "../scene3d";
-import { newCavity, placeCavity } from "./cavity";
 import { eyeOf, type Eye } from "./endoscope";
 import { inLampLight, lampPower } from "./lamp";
+import { uncutMaterial } from "../tissue/material";
+import { Scenery } from "./scenery";
+import { LampShadow } from "./shadow";
+import { distanceToWalls_m, newWalls, placeWalls } from "./walls";
+import { throughLens, type Stereo } from "./stereo";
 import { isInCircle, LensPass, MOST_DISTORTION, rayThrough, seenAt, USUAL_DISTORTION, type Circle } from "./lens";
 
 /** Of the endoscope's camera [m]: tissue at the lens is seen, and the far side of an abdomen. */
@@ -22,9 +28,9 @@ const AT_LENS_M = 1.5e-3;
 const SMALLEST_RADIUS = 150;
 const RIM = 10;
 /** Irradiance of the organ at 10 cm, in the picture's own measure. */
-const EXPOSURE = 3.1;
+const EXPOSURE = 2.3;
 /** The camera makes up for a part of what distance takes, as cameras of endoscopes do: exponent of the distance, 2 for all of it. */
-const MADE_UP = 1.5;
+const MADE_UP = 1.75;
 const NEAREST_EXPOSED_M = 0.005;
 const FURTHEST_EXPOSED_M = 0.3;
 /** Places of the circle whose distance sets the exposure. */
@@ -44,6 +50,9 @@ export interface TheatreReport {
   readonly endoscope: number | null;
   readonly smear: number;
   readonly outside: boolean;
+  readonly field: ReturnType<OperatingField["report"]>;
+  readonly stereo: Stereo;
+  readonly second_px: number;
   /** The picture's circle on the canvas [CSS pixels]. */
   readonly circle: Circle;
   /** Of the camera that draws it, in the patient frame. */
@@ -68,12 +77,17 @@ export class Theatre implements OtherView {
   /** Whether scenes with an endoscope begin with its picture, where the page's address does not say. */
   beginsOn = false;
   private eye: Eye | null = null;
+  private pictures: Stereo = "off";
+  /** The right eye's picture is so far beside the left one [CSS pixels]; 0 where there is no other. */
+  private second_px = 0;
   private circle: Circle = { x: 0, y: 0, radius: 1 };
   private hello: Hello | null = null;
   private readonly camera = new PerspectiveCamera(70, 1, NEAR_M, FAR_M);
   private readonly outsideCamera = new PerspectiveCamera();
-  private readonly cavity: Mesh;
+  private readonly walls: Mesh;
+  private readonly scenery: Scenery;
   private readonly lens: LensPass;
+  private readonly shadow = new LampShadow();
   private readonly distortion = distortionOf(window.location.search);
 
   constructor(
@@ -81,8 +95,18 @@ export class Theatre implements OtherView {
     private readonly page: Pick<Page, "panel" | "toolbar" | "orientation" | "hint" | "outside"> & Partial<Pick<Page, "task">>,
   ) {
     this.lens = new LensPass(scene.software ? 0 : 4, this.distortion);
-    this.cavity = newCavity(scene.tissue);
-    scene.scene.add(this.cavity);
+    this.walls = newWalls(scene.tissue, scene.patterns);
+    this.scenery = new Scenery(uncutMaterial(scene.material));
+    scene.scene.add(this.walls, this.scenery.group);
+  }
+
+  get stereo(): Stereo {
+    return this.pictures;
+  }
+
+  set stereo(stereo: Stereo) {
+    this.pictures = stereo;
+    this.layOut();
   }
 
   get on(): boolean {
@@ -100,7 +124,8 @@ export class Theatre implements OtherView {
     this.hello = hello;
     this.eye = null;
     this.choose(chosen);
-    placeCavity(this.cavity, hello);
+    placeWalls(this.walls, hello);
+    this.scenery.begin(hello);
     const view = new URLSearchParams(window.location.search).get("view");
     const asked = isFirst && (view === null ? this.beginsOn : view === "theatre");
     this.turn((this.on || asked) && this.endoscope !== null);
@@ -142,13 +167,16 @@ export class Theatre implements OtherView {
     const top = isAbove ? Math.max(panelBox.bottom, task?.getBoundingClientRect().bottom ?? 0) : 0;
     const bottom = toolbarBox.height > 0 ? Math.min(toolbarBox.top, this.scene.height) : this.scene.height;
     const right = this.scene.width - this.scene.covered.right;
+    const pictures = this.stereo === "side_by_side" ? 2 : 1;
     const beside = (left: number): Circle => ({
-      x: (left + right) / 2,
+      x: left + (right - left) / (2 * pictures),
       y: (top + bottom) / 2,
-      radius: Math.max(1, Math.min(right - left, bottom - top) / 2 - RIM),
+      radius: Math.max(1, Math.min((right - left) / pictures, bottom - top) / 2 - RIM),
     });
     const free = beside(isAbove ? 0 : Math.min(panelBox.right, 0.6 * this.scene.width));
     this.circle = free.radius < SMALLEST_RADIUS ? beside(0) : free;
+    // Each has half of the width: the middle of the left one is a quarter of it from the left.
+    this.second_px = pictures === 1 ? 0 : (2 * (right - this.circle.x)) / 3;
     outside.hidden = !this.showsOutside;
     outside.style.bottom = `${this.scene.height - bottom + RIM}px`;
   }
@@ -159,15 +187,19 @@ export class Theatre implements OtherView {
     const { info } = this;
     if (tool === undefined || info === null || info.optics === null) return;
     this.eye = eyeOf(tool, info.optics);
-    const { position_m, forward, up, field_of_view_rad } = this.eye;
+    this.look(this.eye);
+    const isAtLens = tool.contact && new Vector3(...tool.contactPoint_m).distanceTo(this.eye.position_m) < info.tip_radius_m + AT_LENS_M;
+    if (isAtLens) this.smear = 1;
+  }
+
+  /** Puts the camera behind the lens. */
+  private look({ position_m, forward, up, field_of_view_rad }: Eye): void {
     this.camera.position.copy(position_m);
     this.camera.up.copy(up);
     this.camera.lookAt(position_m.clone().add(forward));
     this.camera.fov = (field_of_view_rad * 180) / Math.PI;
     this.camera.updateProjectionMatrix();
     this.camera.updateMatrixWorld();
-    const isAtLens = tool.contact && new Vector3(...tool.contactPoint_m).distanceTo(position_m) < info.tip_radius_m + AT_LENS_M;
-    if (isAtLens) this.smear = 1;
   }
 
   /** The lamp is out, or shines; answers whether that is new. */
@@ -184,12 +216,17 @@ export class Theatre implements OtherView {
 
   // ---- where the picture's points are ----
 
+  /** The same place of the left eye's picture. */
+  private inLeft(x: number): number {
+    return this.second_px > 0 && x > this.circle.x + this.second_px / 2 ? x - this.second_px : x;
+  }
+
   shows(x: number, y: number): boolean {
-    return this.eye !== null && isInCircle(x, y, this.circle);
+    return this.eye !== null && isInCircle(this.inLeft(x), y, this.circle);
   }
 
   ray(x: number, y: number): Ray | null {
-    return this.eye && rayThrough(x, y, this.circle, this.eye, this.distortion);
+    return this.eye && rayThrough(this.inLeft(x), y, this.circle, this.eye, this.distortion);
   }
 
   project(point_m: Vector3): [number, number] | null {
@@ -211,21 +248,46 @@ export class Theatre implements OtherView {
   // ---- drawing ----
 
   draw(): void {
-    const { renderer, scene } = this.scene;
+    const { renderer } = this.scene;
     // What is smeared needs few pixels.
     this.lens.fit(this.circle, this.smear > 0 ? SMEARED_RATIO : renderer.getPixelRatio());
     this.seenByEndoscope(true);
+    const { height } = this.scene;
+    if (this.stereo === "off" || this.eye === null) {
+      this.drawInside();
+      this.lens.draw(renderer, this.circle, height, this.smear);
+    } else {
+      const isBeside = this.stereo === "side_by_side";
+      for (const side of [-1, 1] as const) {
+        this.look(this.eye);
+        throughLens(this.camera, side, this.metered_m);
+        this.drawInside();
+        const circle = isBeside && side === 1 ? { ...this.circle, x: this.circle.x + this.second_px } : this.circle;
+        this.lens.draw(renderer, circle, height, this.smear, isBeside ? [1, 1, 1] : side < 0 ? [1, 0, 0] : [0, 1, 1], side === 1);
+      }
+      this.look(this.eye);
+    }
+    this.seenByEndoscope(false);
+    if (this.showsOutside) this.drawOutside();
+    renderer.setClearColor(0x000000, 0);
+  }
+
+  /** The picture behind the lens, by its camera. */
+  private drawInside(): void {
+    const { renderer, scene } = this.scene;
+    if (isFullDetail()) this.shadow.draw(this.scene, this.camera, this.castNone);
     renderer.setRenderTarget(this.lens.target);
-    renderer.setClearColor(DEEP_RED, 1);
     // Nothing but the lamp shines inside.
-    if (this.isDark) renderer.setClearColor(0x000000, 1);
+    renderer.setClearColor(this.isDark ? 0x000000 : DEEP_RED, 1);
     if (this.isDark) renderer.clear();
     else inLampLight(scene, () => renderer.render(scene, this.camera));
     renderer.setRenderTarget(null);
-    this.seenByEndoscope(false);
-    this.lens.draw(renderer, this.circle, this.scene.height, this.smear);
-    if (this.showsOutside) this.drawOutside();
-    renderer.setClearColor(0x000000, 0);
+  }
+
+  /** What is in no light's way. */
+  private get castNone(): Object3D[] {
+    const { field, contactMarks, taskMarks } = this.scene;
+    return [this.walls, this.scenery.group, field.group, contactMarks.group, taskMarks.group];
   }
 
   /** The endoscope does not see itself, nor what is drawn to explain the scene; its lamp alone shines. */
@@ -234,7 +296,9 @@ export class Theatre implements OtherView {
       instrument.overlays.visible = !seen;
       if (i === this.endoscope) instrument.group.visible = !seen;
     });
-    this.cavity.visible = seen;
+    this.walls.visible = seen;
+    this.scenery.show(seen);
+    this.scene.field.showGround(seen);
     this.scene.shadeByTool(seen && this.endoscope === this.scene.chosen);
     if (seen) lampPower.value = this.power();
   }
@@ -242,7 +306,11 @@ export class Theatre implements OtherView {
   /** Power of the lamp for what is seen now, and its distance. */
   private power(): number {
     const { x, y, radius } = this.circle;
-    const distances = METERED.map(([a, b]) => this.scene.pick(x + a * radius, y + b * radius)?.distance_m ?? FURTHEST_EXPOSED_M);
+    const distances = METERED.map(([a, b]) => {
+      const at = [x + a * radius, y + b * radius] as const;
+      const ray = this.scene.ray(...at);
+      return this.scene.pick(...at)?.distance_m ?? Math.min(this.scenery.distance_m(ray), distanceToWalls_m(this.walls, ray));
+    });
     const middle_m = distances.sort((a, b) => a - b)[Math.floor(METERED.length / 2)];
     this.metered_m = Math.min(FURTHEST_EXPOSED_M, Math.max(NEAREST_EXPOSED_M, middle_m));
     return EXPOSURE * 0.1 ** 2 * (this.metered_m / 0.1) ** MADE_UP;
@@ -270,9 +338,9 @@ export class Theatre implements OtherView {
   }
 
   report(): TheatreReport {
-    const { on, endoscope, smear, circle, camera } = this;
+    const { on, endoscope, smear, circle, camera, stereo, second_px } = this;
     const [, up, back] = [0, 1, 2].map((column) => new Vector3().setFromMatrixColumn(camera.matrixWorld, column));
     const view = { position_m: camera.position.toArray(), forward: back.negate().toArray(), up: up.toArray() };
-    return { on, endoscope, smear, outside: this.showsOutside, circle: { ...circle }, camera: { ...view, field_of_view_rad: (camera.fov * Math.PI) / 180 } };
+    return { on, endoscope, smear, outside: this.showsOutside, field: this.scene.field.report(), stereo, second_px, circle: { ...circle }, camera: { ...view, field_of_view_rad: (camera.fov * Math.PI) / 180 } };
   }
 }

@@ -9,6 +9,7 @@ import {
   type Snapshot,
   type Topology,
 } from "./protocol";
+import type { Key } from "./coded_positions";
 import type { Feel } from "./feel";
 import { text } from "./language";
 import type { TaskNews } from "./task";
@@ -72,6 +73,8 @@ export function messageOf(
 
 export class Connection {
   private socket: WebSocket | null = null;
+  /** Where positions are differences from. */
+  private key: Key | null = null;
   private attempt = 0;
 
   /** `elsewhere`: whether a lost connection is not to be made again, because another page is served here; null: ask again. */
@@ -135,8 +138,9 @@ export class Connection {
         else if (message.type === "news") this.events.notice(message.message);
         else this.events.error(text("server_says", { message: message.message }));
       } else if (data instanceof ArrayBuffer) {
-        const message = decodeBinary(data);
-        if (message.kind === "topology") this.events.topology(message);
+        const message = decodeBinary(data, this.key);
+        if (message.kind === "key") this.key = message;
+        else if (message.kind === "topology") this.events.topology(message);
         else this.events.snapshot(message, data.byteLength);
       }
     } catch (error) {

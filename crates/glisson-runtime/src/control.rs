@@ -4,7 +4,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
 /// Viewers at the same time.
-pub const MOST_VIEWERS: usize = 32;
+pub const MOST_VIEWERS: usize = 64;
 /// Who may be in control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Viewer {

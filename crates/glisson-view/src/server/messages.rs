@@ -15,7 +15,7 @@ use glisson_runtime::{Notice, Simulation};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-const PROTOCOL: u32 = 10;
+const PROTOCOL: u32 = 11;
 
 /// The first message on a connection.
 pub(crate) fn hello(simulation: &Simulation) -> Value {

@@ -4,7 +4,10 @@ pub mod access;
 mod allowance;
 mod hands;
 pub(crate) mod limits;
+pub mod positions;
 pub mod frames;
+mod shared_frames;
+mod flow;
 pub(crate) mod messages;
 mod socket;
 
@@ -30,6 +33,7 @@ pub use glisson_runtime::steering::{Show, Steering};
 use hands::Hands;
 use limits::Places;
 use messages::HapticsAt;
+use shared_frames::SharedFrames;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
@@ -47,6 +51,7 @@ into this program. Run <code>cargo xtask demo</code>, which builds it.";
 
 struct Shared {
     hello: serde_json::Value,
+    frames: SharedFrames,
     published: watch::Receiver<Arc<Published>>,
     commands: Sender<Command>,
     control: Arc<Control>,
@@ -181,6 +186,7 @@ pub fn serve(
         .spawn(move || live::run(simulation, &commands_out, shown, links, stalls.as_ref()))?;
     let shared = Arc::new(Shared {
         hello,
+        frames: SharedFrames::default(),
         published,
         commands: commands.clone(),
         control,

@@ -2,7 +2,7 @@
 
 use super::Shared;
 use super::allowance::Allowance;
-use super::frames::{snapshot_frame, topology_frame};
+use super::flow::Flow;
 use super::messages::{self, Wish};
 use axum::extract::State;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code};
@@ -60,8 +60,9 @@ pub(super) async fn open(State(shared): State<Arc<Shared>>, upgrade: WebSocketUp
         move |socket| async move {
             let now = Instant::now();
             let allowance = Allowance::new(now);
+            let flow = Flow::default();
             let mut connection =
-                Connection { socket, seat, allowance, last_heard: now, told: None, contacts: None };
+                Connection { socket, seat, allowance, flow, last_heard: now, told: None, contacts: None };
             if let Err(End::Refused(reason)) = connection.talk().await {
                 let close = CloseFrame { code: close_code::POLICY, reason: reason.into() };
                 // Who does not take the reason goes without it.
@@ -83,6 +84,7 @@ struct Connection {
     socket: WebSocket,
     seat: Seat,
     allowance: Allowance,
+    flow: Flow,
     last_heard: Instant,
     /// When it was told that it only watches.
     told: Option<Instant>,
@@ -95,6 +97,8 @@ struct Told {
     model: ModelKind,
     /// Of the topology.
     version: u32,
+    /// Number of the key that it has.
+    key: Option<u32>,
     n_notices: usize,
     task: Option<TaskStatus>,
 }
@@ -114,11 +118,11 @@ impl Connection {
     /// What a viewer needs before the first snapshot, and again when another model took over.
     async fn greet(&mut self, published: &Published) -> Result<(), End> {
         self.say(messages::hello_with_model(&self.seat.shared.hello, published.model)).await?;
-        self.send(Message::Binary(topology_frame(&published.topology).into())).await
+        self.send(Message::Binary(self.seat.shared.frames.topology(published))).await
     }
 
     /// Sends what is new since `told`: notices, another model or topology, and the snapshot.
-    async fn show(&mut self, latest: &Published, told: &mut Told) -> Result<(), End> {
+    async fn show(&mut self, latest: &Arc<Published>, told: &mut Told) -> Result<(), End> {
         for notice in latest.notices_after(told.n_notices) {
             self.say(messages::notice(notice)).await?;
         }
@@ -131,11 +135,17 @@ impl Connection {
             told.model = latest.model;
             self.greet(latest).await?;
         } else if latest.topology.version != told.version {
-            self.send(Message::Binary(topology_frame(&latest.topology).into())).await?;
+            self.send(Message::Binary(self.seat.shared.frames.topology(latest))).await?;
         }
         told.version = latest.topology.version;
-        let contacts = latest.contact_points.as_ref().filter(|_| self.contacts.is_some());
-        self.send(Message::Binary(snapshot_frame(&latest.snapshot, &latest.pace, contacts).into())).await
+        let frames = self.seat.shared.frames.snapshot(latest, self.contacts.is_some());
+        if let Some(key) = frames.key.filter(|key| told.key != Some(key.number)) {
+            told.key = Some(key.number);
+            self.send(Message::Binary(key.frame)).await?;
+        }
+        let ping = self.flow.send(Instant::now());
+        self.send(Message::Binary(frames.snapshot)).await?;
+        self.send(Message::Ping(ping.to_vec().into())).await
     }
 
     async fn say_timing(&mut self, published: &watch::Receiver<Arc<Published>>) -> Result<(), End> {
@@ -154,6 +164,7 @@ impl Connection {
         let mut told = Told {
             model: first.model,
             version: first.topology.version,
+            key: None,
             // Who comes after the end is told what happened.
             n_notices: if first.is_broken { 0 } else { first.n_notices },
             task: None,
@@ -165,7 +176,7 @@ impl Connection {
         let mut felt = Vec::new();
         loop {
             tokio::select! {
-                changed = published.changed() => {
+                changed = published.changed(), if self.flow.is_free(Instant::now()) => {
                     if changed.is_err() {
                         return self.say(messages::error("the simulation stopped; see the program's output")).await;
                     }
@@ -220,6 +231,9 @@ impl Connection {
         };
         if !self.allowance.spend(n_bytes, self.last_heard) {
             return Err(End::Refused("too many messages"));
+        }
+        if let Message::Pong(answer) = &message {
+            self.flow.hear(answer);
         }
         let Message::Text(text) = message else {
             return match message {

@@ -2,7 +2,7 @@
  * The page that one begins with: a click makes a task, the viewer shows its organ at the same address, and a key leads back.
  * The program is in GLISSON_PROGRAM.
  */
-import { spawn, type ChildProcess } from "node:child_process";
+import type { ChildProcess } from "node:child_process";
 import { existsSync, mkdtempSync, readdirSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
@@ -10,6 +10,7 @@ import { afterAll, afterEach, beforeAll, beforeEach, describe, expect, it } from
 import type { Browser, Page } from "playwright-core";
 import { openPage, resultFile, startBrowser, waitForOrgan } from "./browser";
 import { faultsOfLayout, SIZES } from "./layout_check";
+import { stop, serve } from "./program";
 
 const program = process.env.GLISSON_PROGRAM;
 if (program === undefined) console.warn("SKIPPED e2e/start.e2e.ts: GLISSON_PROGRAM is not set (the program glisson)");
@@ -34,22 +35,6 @@ home_shaft = [0, -1, 0]
 `;
 const BAD_SCENE = "glisson_scene = 1\n[organ]\ntisue = \"liver\"\n";
 
-/** The program in a folder of its own; its address when it answers. */
-async function serve(folder: string): Promise<{ program: ChildProcess; url: string }> {
-  const child = spawn(program!, ["start", "--no-open", "--port", "0"], { cwd: folder });
-  return new Promise((resolve, reject) => {
-    let text = "";
-    const hear = (data: Buffer): void => {
-      text += data.toString();
-      const url = /http:\/\/\S+/.exec(text)?.[0];
-      if (url !== undefined) resolve({ program: child, url });
-    };
-    child.stdout.on("data", hear);
-    child.stderr.on("data", hear);
-    child.on("exit", (code) => reject(new Error(`glisson start ended with ${code}: ${text}`)));
-  });
-}
-
 describe.skipIf(program === undefined)("the start page", () => {
   let browser: Browser;
   let folder: string;
@@ -67,17 +52,14 @@ describe.skipIf(program === undefined)("the start page", () => {
   beforeEach(async () => {
     folder = mkdtempSync(join(tmpdir(), "glisson-start-"));
     writeFileSync(join(folder, "bad.toml"), BAD_SCENE);
-    ({ program: server, url } = await serve(folder));
+    ({ program: server, url } = await serve(folder, ["start"]));
     ({ page, problems } = await openPage(browser));
     await page.goto(url);
     await page.locator("#tasks li").first().waitFor();
   });
   afterEach(async () => {
     await Promise.all(browser.contexts().map((context) => context.close()));
-    server.removeAllListeners("exit");
-    const ended = new Promise((resolve) => server.once("exit", resolve));
-    server.kill("SIGINT");
-    await ended;
+    await stop(server);
     rmSync(folder, { recursive: true, force: true });
   });
 

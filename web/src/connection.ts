@@ -12,6 +12,7 @@ import {
 import type { Key } from "./coded_positions";
 import type { Feel } from "./feel";
 import { text } from "./language";
+import type { ClassNews, MarksNews } from "./classroom";
 import type { TaskNews } from "./task";
 import type { Role, Timing } from "./timing";
 
@@ -26,6 +27,8 @@ export interface ConnectionEvents {
   timing(timing: Timing): void;
   feel(feel: Feel): void;
   task(task: TaskNews): void;
+  classroom(news: ClassNews): void;
+  marks(news: MarksNews): void;
   /** An error message of the server, or a message that could not be understood. */
   error(message: string): void;
   /** What is as it should be, and worth knowing. */
@@ -135,6 +138,8 @@ export class Connection {
         else if (message.type === "timing") this.events.timing(message);
         else if (message.type === "feel") this.events.feel(message);
         else if (message.type === "task") this.events.task(message);
+        else if (message.type === "class") this.events.classroom(message);
+        else if (message.type === "marks") this.events.marks(message);
         else if (message.type === "news") this.events.notice(message.message);
         else this.events.error(text("server_says", { message: message.message }));
       } else if (data instanceof ArrayBuffer) {

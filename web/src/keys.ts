@@ -24,6 +24,10 @@ export type Action =
   | "profiler"
   | "help"
   | "start_page"
+  | "take_over"
+  | "draw"
+  | "mark_tip"
+  | "erase"
   | "leave"
   | "tool_place"
   | "tool_left"
@@ -82,7 +86,7 @@ export function bind<A extends string>(
 }
 
 /** One of the viewer, in the page's language. */
-function own(group: "simulation" | "view" | "instrument" | "program", action: Action, keys: string, chords: readonly Chord[], repeats = false): Binding {
+function own(group: "simulation" | "view" | "instrument" | "class" | "program", action: Action, keys: string, chords: readonly Chord[], repeats = false): Binding {
   return bind(text(`group_${group}`), action, keysIn(LANGUAGE, keys), text(`key_${action}`), chords, repeats);
 }
 
@@ -122,6 +126,10 @@ export const BINDINGS: readonly Binding[] = [
   own("instrument", "tool_2", "2", plain("2")),
   own("instrument", "tool_3", "3", plain("3")),
   own("instrument", "tool_4", "4", plain("4")),
+  own("class", "take_over", "Shift T", [{ key: "t", shift: true }]),
+  own("class", "draw", "Shift D", [{ key: "d", shift: true }]),
+  own("class", "mark_tip", "Shift M", [{ key: "m", shift: true }]),
+  own("class", "erase", "Shift E", [{ key: "e", shift: true }]),
   own("program", "panel", "Shift P", [{ key: "p", shift: true }]),
   own("program", "plot", "Shift F", [{ key: "f", shift: true }]),
   own("program", "screenshot", "S", plain("s")),
@@ -142,7 +150,7 @@ export interface KeyPress {
 
 /** Whether a key press is for the part of the page that has the focus: it presses a button, or chooses from a list. */
 export function isForPart({ target, key }: Pick<KeyboardEvent, "target" | "key">): boolean {
-  if (target instanceof HTMLSelectElement) return key !== "Escape";
+  if (target instanceof HTMLSelectElement || target instanceof HTMLInputElement) return key !== "Escape";
   return target instanceof HTMLButtonElement && (key === " " || key === "Enter");
 }
 

@@ -14,6 +14,7 @@ export interface Page {
   readonly hint: HTMLElement;
   readonly task: HTMLElement;
   readonly outside: HTMLElement;
+  readonly classroom: HTMLElement;
 }
 
 function part<T extends HTMLElement>(id: string): T {
@@ -38,5 +39,6 @@ export function findPage(): Page {
     hint: part("hint"),
     task: part("task"),
     outside: part("outside"),
+    classroom: part("classroom"),
   };
 }

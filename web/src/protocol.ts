@@ -9,6 +9,7 @@ import { decodeTask, type TaskNews } from "./task";
 import { BLOOD_BYTES, decodeBlood, type Bleeding } from "./blood";
 import { bodiesAt, type BodyInfo } from "./body_info";
 import { contactPointsBytes, decodeContactPoints, type ContactPoints } from "./contact_points";
+import { decodeClass, decodeMarks, type ClassNews, type MarksNews } from "./classroom";
 import { codedBytes, decodeCoded, decodeKey, type Key } from "./coded_positions";
 import { decodeThreads, threadsBytes, type Thread } from "./threads";
 import { decodeFeel, type Feel } from "./feel";
@@ -154,6 +155,10 @@ export type ClientMessage =
   | { readonly type: "undo" }
   | { readonly type: "task_event"; readonly number: number }
   | { readonly type: "leave" }
+  | { readonly type: "take_over" | "give_back" | "erase" }
+  | { readonly type: "introduce"; readonly name: string }
+  | { readonly type: "point"; readonly at_m: Vec3 | null }
+  | { readonly type: "draw"; readonly points_m: readonly Vec3[] }
   | { readonly type: "contacts"; readonly shown: boolean }
   | { readonly type: "gravity"; readonly m_per_s2: Vec3 }
   | { readonly type: "model"; readonly name: string };
@@ -165,7 +170,7 @@ export function encodeClientMessage(message: ClientMessage): string {
 // ---- text ----
 
 /** Decodes a text message of the server. */
-export function decodeText(text: string): Hello | ServerNotice | Role | Timing | Feel | TaskNews {
+export function decodeText(text: string): Hello | ServerNotice | Role | Timing | Feel | TaskNews | ClassNews | MarksNews {
   let parsed: unknown;
   try {
     parsed = JSON.parse(text);
@@ -179,8 +184,10 @@ export function decodeText(text: string): Hello | ServerNotice | Role | Timing |
   if (type === "timing") return decodeTiming(fields);
   if (type === "feel") return decodeFeel(fields);
   if (type === "task") return decodeTask(fields);
+  if (type === "class") return decodeClass(fields);
+  if (type === "marks") return decodeMarks(fields);
   if (type !== "hello") {
-    fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello, role, timing, feel, task, news or error`);
+    fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello, role, timing, feel, task, class, marks, news or error`);
   }
   const protocol = numberAt(fields, "protocol", "hello");
   if (protocol !== PROTOCOL_VERSION) {

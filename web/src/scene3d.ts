@@ -10,6 +10,7 @@ import {
   type ShaderMaterial,
 } from "three";
 import { BleedingMarks } from "./bleeding";
+import { ClassMarks } from "./class_marks";
 import { ContactMarks } from "./contact_marks";
 import type { PushStart, Ray, ToolPose, ViewAxes } from "./drag";
 import type { Feel } from "./feel";
@@ -69,6 +70,7 @@ export class Scene3d {
   other: OtherView | null = null;
   readonly contactMarks = new ContactMarks();
   readonly taskMarks = new TaskMarks();
+  readonly classMarks = new ClassMarks();
   readonly scene = new Scene();
   private readonly bleeding = new BleedingMarks();
   private readonly threads = new ThreadMarks();
@@ -98,7 +100,7 @@ export class Scene3d {
     this.renderer.toneMappingExposure = 1.08;
     this.renderer.setClearColor(0x000000, 0);
     this.material = organMaterial(this.tissue);
-    this.scene.add(this.bleeding.group, this.contactMarks.group, this.taskMarks.group, this.threads.group);
+    this.scene.add(this.bleeding.group, this.contactMarks.group, this.taskMarks.group, this.classMarks.group, this.threads.group);
     this.camera.up.set(0, 0, 1);
     this.orbit = orbitThatShows(new Vector3(-0.1, -0.1, -0.1), new Vector3(0.1, 0.1, 0.1), 1);
     this.resize();
@@ -192,6 +194,7 @@ export class Scene3d {
     organ.showFixed(this.fixedShown);
     this.organs.set(topology.organ, organ);
     this.taskMarks.setTopology(topology);
+    this.classMarks.setTopology(topology);
     this.scene.add(organ.group);
   }
 
@@ -201,6 +204,7 @@ export class Scene3d {
     if (organ === undefined || organ.topology.version !== snapshot.header.version) return "other_topology";
     if (!organ.show(snapshot)) return "same";
     this.taskMarks.follow(organ.positions_m);
+    this.classMarks.follow(organ.positions_m);
     return "changed";
   }
 

@@ -1,4 +1,4 @@
-//! One viewer controls, all may watch.
+//! One viewer controls, all may watch. Who teaches takes control over, and gives it back.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
@@ -8,15 +8,18 @@ pub const MOST_VIEWERS: usize = 64;
 /// Who may be in control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Viewer {
-    number: u64,
+    /// That of nobody else.
+    pub number: u64,
     /// Whether it is a connection of a page, or of a program like one.
     pub has_page: bool,
 }
 
 #[derive(Debug, Default)]
 struct Seats {
-    n_viewers: usize,
+    present: Vec<Viewer>,
     last_number: u64,
+    /// From whom control was taken over.
+    taken_from: Option<Viewer>,
 }
 
 /// Who controls.
@@ -52,18 +55,41 @@ impl Control {
 
     fn sit_down(&self, has_page: bool) -> Option<Viewer> {
         let mut seats = self.seats();
-        if seats.n_viewers == MOST_VIEWERS {
+        if seats.present.len() == MOST_VIEWERS {
             return None;
         }
-        seats.n_viewers += 1;
         seats.last_number += 1;
-        Some(Viewer { number: seats.last_number, has_page })
+        let viewer = Viewer { number: seats.last_number, has_page };
+        seats.present.push(viewer);
+        Some(viewer)
     }
 
-    /// Frees the viewer's place and, if it controls, control.
+    /// Frees the viewer's place and, if it controls, gives control back.
     pub fn leave(&self, viewer: Viewer) {
-        self.release(viewer);
-        self.seats().n_viewers -= 1;
+        self.seats().present.retain(|present| *present != viewer);
+        self.give_back(viewer);
+    }
+
+    /// Takes control over, whoever has it.
+    pub fn take_over(&self, viewer: Viewer) {
+        let before = *self.controller.borrow();
+        if before != Some(viewer) {
+            self.seats().taken_from = before;
+            self.controller.send_replace(Some(viewer));
+        }
+    }
+
+    /// Gives control to the one from whom it was taken over; to whoever does something next, if that one is gone or there is none.
+    pub fn give_back(&self, viewer: Viewer) {
+        if *self.controller.borrow() != Some(viewer) {
+            return;
+        }
+        let before = {
+            let mut seats = self.seats();
+            let before = seats.taken_from.take();
+            before.filter(|before| seats.present.contains(before))
+        };
+        self.controller.send_replace(before);
     }
 
     /// Whether this viewer controls; takes control when nobody has it.
@@ -118,6 +144,28 @@ mod tests {
         control.leave(other);
         assert!(control.may_control(one));
         assert_eq!(*changes.borrow(), Some(one));
+    }
+
+    #[test]
+    fn control_that_was_taken_over_goes_back_to_whom_it_was_taken_from() {
+        let control = Control::default();
+        let [learner, teacher, other] = [(); 3].map(|()| control.enter().unwrap());
+        control.take_over(teacher);
+        assert!(!control.may_control(learner) && control.may_control(teacher));
+        // Again changes nothing of whose it was; nobody else can give it away.
+        control.take_over(teacher);
+        control.give_back(other);
+        control.give_back(teacher);
+        assert!(control.may_control(learner) && !control.may_control(teacher));
+        // Also when who took it is gone.
+        control.take_over(teacher);
+        control.leave(teacher);
+        assert!(control.may_control(learner));
+        // Where the learner is gone, whoever does something has it.
+        control.take_over(other);
+        control.leave(learner);
+        control.give_back(other);
+        assert_eq!(*control.watch().borrow(), None);
     }
 
     #[test]

@@ -18,6 +18,7 @@ mod precompute;
 mod solve;
 mod fit;
 mod run;
+mod resuming;
 mod serve;
 mod patient;
 mod watch;

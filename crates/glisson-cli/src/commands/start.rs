@@ -5,6 +5,8 @@ use super::serve::{Address, serve_until};
 use super::task;
 use anyhow::Context;
 use glisson::progress::tell;
+use glisson_runtime::cut_off::go_on_with;
+use glisson_runtime::recorder::{partial_of, remove_partial};
 use glisson_runtime::script::PathScript;
 use glisson_runtime::{OpenScene, Simulation};
 use glisson_view::patient::{self, PatientPage};
@@ -92,6 +94,11 @@ impl Opener {
                 }
                 Ok(simulation)
             }
+            Choice::Resume { session } => {
+                let simulation = go_on_with(&partial_of(session), None, session, self.n_threads)?;
+                println!("session: {}, gone on with where it was cut off", session.display());
+                Ok(simulation)
+            }
         }
     }
 
@@ -104,7 +111,7 @@ impl Opener {
         std::fs::create_dir_all(&self.out)
             .with_context(|| format!("{}: cannot make the folder for sessions", self.out.display()))?;
         let (session, folder) = (free_session(&self.out, name), source.folder.clone());
-        let mut unwanted = Unwanted(Some(session.with_extension("jsonl.partial")));
+        let mut unwanted = Unwanted(Some(session.clone()));
         let simulation = Simulation::open(source, Some(&session))?;
         // Where it was cancelled meanwhile, this does not come back.
         tell(1.0);
@@ -119,8 +126,7 @@ struct Unwanted(Option<PathBuf>);
 
 impl Drop for Unwanted {
     fn drop(&mut self) {
-        // Mostly it was not begun yet.
-        self.0.iter().for_each(|partial| drop(std::fs::remove_file(partial)));
+        self.0.iter().for_each(|session| remove_partial(session));
     }
 }
 
@@ -135,7 +141,7 @@ fn session_name(scene: &Path) -> String {
 fn free_session(folder: &Path, name: &str) -> PathBuf {
     let numbered = (2..).map(|number| format!("{name}-{number}"));
     let mut names = std::iter::once(name.to_owned()).chain(numbered);
-    let is_free = |path: &PathBuf| !path.exists() && !path.with_extension("jsonl.partial").exists();
+    let is_free = |path: &PathBuf| !path.exists() && !partial_of(path).exists();
     names
         .find_map(|name| Some(folder.join(format!("{name}.jsonl"))).filter(is_free))
         .expect("numbers do not end")
@@ -163,8 +169,12 @@ impl Args {
         error: Option<String>,
     ) -> anyhow::Result<Option<Chosen>> {
         let opener = self.opener();
-        let page =
-            StartPage { folders: folders.to_vec(), open: Box::new(move |choice| opener.open(choice)), error };
+        let page = StartPage {
+            folders: folders.to_vec(),
+            sessions: Some(self.out.clone()),
+            open: Box::new(move |choice| opener.open(choice)),
+            error,
+        };
         start::serve(turn.listener.try_clone()?, turn.access.clone(), page, turn.stop.comes())
     }
 

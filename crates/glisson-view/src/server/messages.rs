@@ -1,5 +1,6 @@
 //! The JSON messages of the viewer's protocol.
 
+use super::class::{ClassWish, LONGEST_NAME, MOST_POINTS, Present};
 use super::hands::FeltBy;
 use glisson::math::{Aabb, DVec3};
 use glisson::model::kind::{MODELS, ModelKind};
@@ -185,6 +186,16 @@ pub(super) fn role(is_controller: bool, is_taken: bool) -> Value {
     json!({ "type": "role", "role": role, "control_is_taken": is_taken })
 }
 
+/// Who watches, and who of them `you` is and controls.
+pub(super) fn class(present: &Present, you: u64, controls: Option<u64>) -> Value {
+    json!({ "type": "class", "you": you, "controls": controls, "people": present.people })
+}
+
+/// What is drawn on the tissue.
+pub(super) fn marks(present: &Present) -> Value {
+    json!({ "type": "marks", "marks": present.marks })
+}
+
 /// Where the loop is that gives forces to hands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum HapticsAt {
@@ -218,7 +229,7 @@ pub(super) fn timing(published: &Published, at: HapticsAt, haptics: Option<&Hapt
 }
 
 /// What a viewer wants.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) enum Wish {
     /// Something of the simulation: for the one who controls.
     Command(Command),
@@ -226,6 +237,8 @@ pub(super) enum Wish {
     ReleaseControl,
     /// Contact points are looked at, or no longer: for everyone.
     Contacts(bool),
+    /// Something of those who watch together.
+    Class(ClassWish),
     /// The simulation ends, and the page that it was started from comes again.
     Leave,
 }
@@ -276,6 +289,18 @@ enum ViewerMessage {
         number: u32,
     },
     ReleaseControl {},
+    TakeOver {},
+    GiveBack {},
+    Introduce {
+        name: String,
+    },
+    Point {
+        at_m: Option<[f64; 3]>,
+    },
+    Draw {
+        points_m: Vec<[f64; 3]>,
+    },
+    Erase {},
     Leave {},
     Contacts {
         shown: bool,
@@ -291,6 +316,13 @@ const STRONGEST_GRAVITY_M_PER_S2: f64 = 100.0;
 /// Slower than this nothing seems to move: a choice.
 const SLOWEST: f64 = 0.05;
 
+fn near_enough(key: &str, place_m: &[f64; 3]) -> Result<(), String> {
+    match place_m.iter().find(|x| x.abs() > FURTHEST_TIP_M) {
+        Some(found) => Err(format!("\"{key}\" has {found} m; allowed: up to {FURTHEST_TIP_M} m")),
+        None => Ok(()),
+    }
+}
+
 /// What a viewer asks for, or why it cannot be understood.
 pub(super) fn wish(text: &str) -> Result<Wish, String> {
     let message: ViewerMessage =
@@ -298,6 +330,31 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
     Ok(Wish::Command(match message {
         ViewerMessage::ReleaseControl {} => return Ok(Wish::ReleaseControl),
         ViewerMessage::Leave {} => return Ok(Wish::Leave),
+        ViewerMessage::TakeOver {} => return Ok(Wish::Class(ClassWish::TakeOver)),
+        ViewerMessage::GiveBack {} => return Ok(Wish::Class(ClassWish::GiveBack)),
+        ViewerMessage::Erase {} => return Ok(Wish::Class(ClassWish::Erase)),
+        ViewerMessage::Introduce { name } => {
+            let name = name.trim().to_owned();
+            let n = name.chars().count();
+            if n > LONGEST_NAME || name.chars().any(char::is_control) {
+                return Err(format!(
+                    "\"name\" has {n} signs; allowed: up to {LONGEST_NAME} that can be seen"
+                ));
+            }
+            return Ok(Wish::Class(ClassWish::Introduce(name)));
+        }
+        ViewerMessage::Point { at_m } => {
+            at_m.as_slice().iter().try_for_each(|at_m| near_enough("at_m", at_m))?;
+            return Ok(Wish::Class(ClassWish::Point(at_m)));
+        }
+        ViewerMessage::Draw { points_m } => {
+            let n = points_m.len();
+            if !(1..=MOST_POINTS).contains(&n) {
+                return Err(format!("\"points_m\" has {n} points; allowed: 1 to {MOST_POINTS}"));
+            }
+            points_m.iter().try_for_each(|point_m| near_enough("points_m", point_m))?;
+            return Ok(Wish::Class(ClassWish::Draw(points_m)));
+        }
         ViewerMessage::Contacts { shown } => return Ok(Wish::Contacts(shown)),
         ViewerMessage::Tool { tool, tip_m, shaft, roll_rad, jaw, trigger } => {
             let shaft_in_world = DVec3::from_array(shaft)
@@ -307,9 +364,7 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
             if let Some((key, found)) = shares.into_iter().find(|(_, share)| !(0.0..=1.0).contains(share)) {
                 return Err(format!("\"{key}\" is {found}; allowed: between 0 and 1"));
             }
-            if let Some(found) = tip_m.iter().find(|place| place.abs() > FURTHEST_TIP_M) {
-                return Err(format!("\"tip_m\" has {found} m; allowed: up to {FURTHEST_TIP_M} m"));
-            }
+            near_enough("tip_m", &tip_m)?;
             let pose = ToolInput::at(DVec3::from_array(tip_m), shaft_in_world);
             Command::Tool { tool, pose: ToolInput { roll_rad, jaw_opening: jaw, trigger, ..pose } }
         }
@@ -429,6 +484,12 @@ mod tests {
         assert_eq!(command(r#"{"type":"task_event","number":1}"#), Ok(Command::TaskEvent { number: 1 }));
         assert_eq!(wish(r#"{"type":"contacts","shown":true}"#), Ok(Wish::Contacts(true)));
         assert_eq!(wish(r#"{"type":"leave"}"#), Ok(Wish::Leave));
+        assert_eq!(wish(r#"{"type":"take_over"}"#), Ok(Wish::Class(ClassWish::TakeOver)));
+        let named = wish(r#"{"type":"introduce","name":" Ada "}"#);
+        assert_eq!(named, Ok(Wish::Class(ClassWish::Introduce("Ada".into()))));
+        let drawn = wish(r#"{"type":"draw","points_m":[[0,0,0.1],[0,1,0]]}"#);
+        assert_eq!(drawn, Ok(Wish::Class(ClassWish::Draw(vec![[0.0, 0.0, 0.1], [0.0, 1.0, 0.0]]))));
+        assert_eq!(wish(r#"{"type":"point","at_m":null}"#), Ok(Wish::Class(ClassWish::Point(None))));
         assert_eq!(command(r#"{"type":"speed","factor":0.25}"#), Ok(Command::Speed(0.25)));
         let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
         assert_eq!(tilted, Ok(Command::Gravity(DVec3::new(0.0, 9.81, 0.0))));
@@ -443,6 +504,11 @@ mod tests {
             r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,1],"jaw":2}"#,
             r#"{"type":"model","name":"jelly"}"#,
             r#"{"type":"contacts"}"#,
+            r#"{"type":"draw","points_m":[]}"#,
+            r#"{"type":"draw","points_m":[[0,0,1000]]}"#,
+            r#"{"type":"point","at_m":[0,1e999,0]}"#,
+            r#"{"type":"introduce","name":"a\u0007"}"#,
+            r#"{"type":"introduce","name":"aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa"}"#,
             r#"{"type":"speed","factor":0}"#,
             r#"{"type":"speed","factor":2}"#,
             r#"{"type":"leave","now":true}"#,

@@ -8,6 +8,7 @@ pub mod positions;
 pub mod frames;
 mod shared_frames;
 mod flow;
+mod class;
 pub(crate) mod messages;
 mod socket;
 
@@ -20,6 +21,7 @@ use axum::http::{StatusCode, header};
 use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use class::Class;
 use glisson::training::task::TaskRecord;
 use glisson_results::Comparison;
 use glisson_runtime::Simulation;
@@ -55,6 +57,7 @@ struct Shared {
     published: watch::Receiver<Arc<Published>>,
     commands: Sender<Command>,
     control: Arc<Control>,
+    class: Class,
     /// Of the haptic loop, if one runs.
     meters: Option<Arc<Meters>>,
     haptics_at: HapticsAt,
@@ -190,6 +193,7 @@ pub fn serve(
         published,
         commands: commands.clone(),
         control,
+        class: Class::default(),
         meters: haptics.as_ref().map(|haptics| Arc::clone(haptics.meters())),
         haptics_at,
         remote_figures,

@@ -1,9 +1,12 @@
 //! One viewer's WebSocket.
 
 use super::Shared;
+use super::access::IsTeacher;
 use super::allowance::Allowance;
+use super::class::Present;
 use super::flow::Flow;
 use super::messages::{self, Wish};
+use axum::Extension;
 use axum::extract::State;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code};
 use axum::http::StatusCode;
@@ -36,10 +39,12 @@ const FEEL: Duration = Duration::from_millis(33);
 struct Seat {
     shared: Arc<Shared>,
     viewer: Viewer,
+    is_teacher: bool,
 }
 
 impl Drop for Seat {
     fn drop(&mut self) {
+        self.shared.class.leave(self.viewer);
         self.shared.control.leave(self.viewer);
     }
 }
@@ -51,11 +56,16 @@ fn unhurried(period: Duration) -> Interval {
     beat
 }
 
-pub(super) async fn open(State(shared): State<Arc<Shared>>, upgrade: WebSocketUpgrade) -> Response {
+pub(super) async fn open(
+    State(shared): State<Arc<Shared>>,
+    Extension(IsTeacher(is_teacher)): Extension<IsTeacher>,
+    upgrade: WebSocketUpgrade,
+) -> Response {
     let Some(viewer) = shared.control.enter() else {
         return (StatusCode::SERVICE_UNAVAILABLE, "all places for viewers are taken\n").into_response();
     };
-    let seat = Seat { shared, viewer };
+    shared.class.enter(viewer, is_teacher);
+    let seat = Seat { shared, viewer, is_teacher };
     upgrade.max_message_size(LONGEST_MESSAGE_BYTES).max_frame_size(LONGEST_MESSAGE_BYTES).on_upgrade(
         move |socket| async move {
             let now = Instant::now();
@@ -156,10 +166,18 @@ impl Connection {
         self.say(messages::timing(&latest, shared.haptics_at, haptics.as_ref())).await
     }
 
+    async fn say_class(&mut self, present: &Present) -> Result<(), End> {
+        let controls = self.seat.shared.control.watch().borrow().map(|viewer| viewer.number);
+        self.say(messages::class(present, self.seat.viewer.number, controls)).await
+    }
+
     async fn talk(&mut self) -> Result<(), End> {
         let shared = Arc::clone(&self.seat.shared);
         let mut published = shared.published.clone();
         let mut controller = shared.control.watch();
+        let mut class = shared.class.watch();
+        // Whom it knows of; what is drawn only when there is something.
+        let mut known = Present::default();
         let first = Arc::clone(&published.borrow());
         let mut told = Told {
             model: first.model,
@@ -172,6 +190,7 @@ impl Connection {
         self.greet(&first).await?;
         published.mark_changed();
         controller.mark_changed();
+        class.mark_changed();
         let (mut beat, mut feel) = (unhurried(BEAT), unhurried(FEEL));
         let mut felt = Vec::new();
         loop {
@@ -187,6 +206,19 @@ impl Connection {
                     if changed.is_ok() {
                         let holder = *controller.borrow_and_update();
                         self.say(messages::role(holder == Some(self.seat.viewer), holder.is_some())).await?;
+                        self.say_class(&known).await?;
+                    }
+                }
+                changed = class.changed() => {
+                    if changed.is_ok() {
+                        let present = class.borrow_and_update().clone();
+                        if present.people != known.people {
+                            self.say_class(&present).await?;
+                        }
+                        if present.marks != known.marks {
+                            self.say(messages::marks(&present)).await?;
+                        }
+                        known = present;
                     }
                 }
                 _ = beat.tick() => {
@@ -249,6 +281,15 @@ impl Connection {
             }
             // Who teaches has no instrument in the hand, and need not be in control.
             Ok(Wish::Command(command @ Command::TaskEvent { .. })) => self.obey(command).await,
+            Ok(Wish::Command(command @ Command::Pause(_))) if self.seat.is_teacher => {
+                self.obey(command).await
+            }
+            Ok(Wish::Class(wish)) => {
+                let Seat { shared, viewer, .. } = &self.seat;
+                if let Err(reason) = shared.class.obey(wish, *viewer, &shared.control) {
+                    self.say(messages::error(reason)).await?;
+                }
+            }
             Ok(Wish::Leave) if self.seat.shared.leaving.is_none() => {
                 self.say(messages::error("no page started this simulation: Ctrl-C ends the program")).await?;
             }

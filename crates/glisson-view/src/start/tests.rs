@@ -57,6 +57,7 @@ impl Page {
         };
         let page = StartPage {
             folders: vec![folder.path().join("scenes")],
+            sessions: Some(folder.path().join("sessions")),
             open: Box::new(open),
             error: Some("before".into()),
         };

@@ -6,28 +6,12 @@ import { join } from "node:path";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import type { Browser, Page } from "playwright-core";
 import { openPage, resultFile, startBrowser, waitForOrgan } from "./browser";
-import { serve, stop } from "./program";
+import { BLOCK, serve, stop } from "./program";
 
 const hasProgram = process.env.GLISSON_PROGRAM !== undefined;
 if (!hasProgram) console.warn("SKIPPED e2e/class.e2e.ts: GLISSON_PROGRAM is not set (the program glisson)");
 
 const TIME = { timeout: 30_000 };
-const BLOCK = `glisson_scene = 1
-name = "a block"
-[simulation]
-time_step = "4 ms"
-[organ]
-box = { min = ["-5 cm", "0 cm", "-5 cm"], max = ["5 cm", "4 cm", "5 cm"] }
-edge = "15 mm"
-tissue = "liver"
-model = "precomputed"
-[[organ.fixed]]
-furthest = { direction = [0, 1, 0], fraction = 0.2 }
-[tool]
-tip_radius = "5 mm"
-home_tip = [0, "-40 mm", 0]
-home_shaft = [0, -1, 0]
-`;
 
 describe.skipIf(!hasProgram)("a class", () => {
   let browser: Browser;
@@ -101,7 +85,7 @@ describe.skipIf(!hasProgram)("a class", () => {
 
     // Paused for all, without control; then taken over and given back.
     await teacher.keyboard.press(" ");
-    await until(learner, () => window.glisson!.header!.paused);
+    for (const page of [learner, teacher]) await until(page, () => window.glisson!.header!.paused);
     await teacher.keyboard.press(" ");
     await until(learner, () => !window.glisson!.header!.paused);
     await teacher.keyboard.press("Shift+T");

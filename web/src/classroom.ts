@@ -88,6 +88,8 @@ export class Classroom {
     this.name.maxLength = 40;
     this.name.value = localStorage.getItem(NAME_KEY) ?? "";
     this.name.addEventListener("change", () => this.introduce());
+    // Then keys are those of the simulation again.
+    this.name.addEventListener("keydown", (event) => event.key === "Enter" && this.name.blur());
     label.append(this.name);
     const button = (press: () => void): HTMLButtonElement => {
       const made = document.createElement("button");

@@ -59,7 +59,9 @@ impl Published {
     /// The state of a simulation of which nothing was shown yet.
     pub(crate) fn first(simulation: &Simulation, meters: &Arc<StepMeters>) -> Self {
         let topology = Arc::new(simulation.world().display_topology());
-        Self::of(simulation, topology, (meters, &Arc::default()))
+        // A session that goes on stands still at first.
+        let pace = Pace { paused: simulation.is_resumed(), ..Pace::default() };
+        Self { pace, ..Self::of(simulation, topology, (meters, &Arc::default())) }
     }
 
     /// The state now, after this one. What still holds is shared.

@@ -124,7 +124,8 @@ fn the_start_page_offers_what_was_cut_off_and_goes_on_with_it() {
     let program = start();
     program.when_at("start");
     assert_eq!(offers(&program)["sessions"], json!([]));
-    assert_eq!(program.begin("scene", &json!({ "file": "./scene.toml" })), 202);
+    let scene = offers(&program)["scenes"][0]["file"].clone();
+    assert_eq!(program.begin("scene", &json!({ "file": scene })), 202);
     program.when_at("viewer");
     simulated(&program, 0.8);
     program.kill();

@@ -216,7 +216,7 @@ fn to_text(answer: &Value) -> String {
         };
         text += &format!(
             "{:>7}  {:16}  {:>9}  {:>15}  {:>11}  {:>8} {:>7}  {:>9}\n",
-            run["viewers"],
+            run["viewers"].to_string(),
             run["motion"].as_str().unwrap_or_default(),
             of("real_time_factor", 3),
             of("server_ms_per_frame", 3),

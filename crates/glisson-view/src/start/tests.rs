@@ -45,6 +45,7 @@ impl Page {
         let made = Mutex::new(made);
         let block = folder.path().join("scenes/block.toml");
         let open = move |choice: &Choice| {
+            tell(0.5);
             told.send(choice.clone())?;
             loop {
                 tell(0.5);

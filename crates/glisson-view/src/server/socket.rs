@@ -282,7 +282,7 @@ impl Connection {
             // Who teaches has no instrument in the hand, and need not be in control.
             Ok(Wish::Command(command @ Command::TaskEvent { .. })) => self.obey(command).await,
             Ok(Wish::Command(command @ Command::Pause(_))) if self.seat.is_teacher => {
-                self.obey(command).await
+                self.obey(command).await;
             }
             Ok(Wish::Class(wish)) => {
                 let Seat { shared, viewer, .. } = &self.seat;

@@ -29,14 +29,15 @@ impl Program {
     pub(super) fn serving(command: &mut Command) -> (Self, String) {
         let command = command.args(["--port", "0", "--no-open"]).stdout(Stdio::piped());
         let mut child = command.spawn().unwrap();
-        let mut output = BufReader::new(child.stdout.take().unwrap());
+        let output = BufReader::new(child.stdout.take().unwrap());
+        let mut program = Self { child, output, address: String::new() };
         let mut before = String::new();
         loop {
             let mut line = String::new();
-            assert!(output.read_line(&mut line).unwrap() > 0, "it ended: {before}");
+            assert!(program.output.read_line(&mut line).unwrap() > 0, "it ended: {before}");
             if let Some(address) = line.split("http://").nth(1) {
-                let address = address.split('/').next().unwrap().to_owned();
-                return (Self { child, output, address }, before);
+                address.split('/').next().unwrap().clone_into(&mut program.address);
+                return (program, before);
             }
             before += &line;
         }

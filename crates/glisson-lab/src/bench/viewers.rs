@@ -16,7 +16,7 @@ use glisson_view::server::access::Access;
 use glisson_view::server::positions::STEP_M;
 use glisson_view::server::{self, Service};
 use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -69,7 +69,7 @@ fn run(request: &TrialRequest, tell: Tell<'_>) -> anyhow::Result<Answer> {
             "bench": "viewers", "seconds": seconds, "tetrahedra": mesh.tetrahedra.len(), "vertices": shown.nodes.len(),
             "triangles": shown.triangles.len(), "time_step_s": step_s, "largest_error_m": 0.5 * STEP_M,
         });
-        answers.push(measure(simulation, n_viewers, motion, seconds, &program)?);
+        answers.push(measure(simulation, (n_viewers, motion), seconds, &program)?);
     }
     about["runs"] = answers.into();
     Ok(Answer { json: format!("{about:#}"), text: to_text(&about) })
@@ -149,10 +149,9 @@ fn viewer(program: &Path, address: &str) -> anyhow::Result<Child> {
 
 fn measure(
     simulation: Simulation,
-    n_viewers: usize,
-    motion: Motion,
+    (n_viewers, motion): (usize, Motion),
     seconds: f64,
-    program: &PathBuf,
+    program: &Path,
 ) -> anyhow::Result<Value> {
     let step_s = simulation.world().spec().time_step_s;
     let listener = server::bind("127.0.0.1", 0)?;

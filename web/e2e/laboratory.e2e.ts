@@ -120,14 +120,14 @@ describe.skipIf(PROGRAM === undefined)("the laboratory", () => {
       await page.keyboard.press("Shift+G");
       expect(await page.locator(".plot-choice").inputValue()).toBe(kind);
     }
-    const [download] = await Promise.all([page.waitForEvent("download"), page.keyboard.press("Shift+S")]);
+    const [download] = await Promise.all([page.waitForEvent("download"), page.keyboard.press("Shift+A")]);
     const csv = readFileSync((await download.path())!, "utf8");
     expect(csv.split("\n")[0]).toContain("time_s,force_n");
     expect(csv.split("\n").length).toBeGreaterThan(20);
   });
 
   it("two gamepads are mapped, tried without moving anything, and then move two instruments at once", async () => {
-    await page.keyboard.press("Shift+D");
+    await page.keyboard.press("Shift+E");
     const dialog = page.getByRole("dialog", { name: "Input devices" });
     const card = (name: string) => dialog.locator(".devices-card", { hasText: name });
     await card("Right pad").getByLabel("Moves", { exact: true }).selectOption("1");
@@ -148,7 +148,7 @@ describe.skipIf(PROGRAM === undefined)("the laboratory", () => {
   });
 
   it("what was mapped is kept, and a key that is a pedal switches as long as it is pressed", async () => {
-    await page.keyboard.press("Shift+D");
+    await page.keyboard.press("Shift+E");
     await page.getByRole("button", { name: "Add a pedal" }).click();
     await page.keyboard.press("F9");
     await page.getByLabel("Instrument of F9").selectOption("1");
@@ -167,9 +167,9 @@ describe.skipIf(PROGRAM === undefined)("the laboratory", () => {
     const other = await openPage(browser);
     await other.page.goto(url);
     await waitForOrgan(other.page);
-    await page.keyboard.press("Shift+D");
+    await page.keyboard.press("Shift+E");
     await page.getByRole("button", { name: "Offer to another machine: 2" }).click();
-    await other.page.keyboard.press("Shift+D");
+    await other.page.keyboard.press("Shift+E");
     await other.page.getByRole("button", { name: "Take: 2" }).click();
     await other.page.keyboard.press("Escape");
     await page.getByRole("button", { name: "Call back: 2" }).waitFor();

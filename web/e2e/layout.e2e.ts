@@ -114,7 +114,7 @@ describe("the viewer's layout", () => {
     expect(help.x >= 0 && help.y >= 0 && help.x + help.width <= width && help.y + help.height <= height).toBe(true);
     await page.screenshot({ path: name("help") });
     await page.keyboard.press("Escape");
-    await page.keyboard.press("Shift+D");
+    await page.keyboard.press("Shift+E");
     const devices = (await page.locator(".devices-page").boundingBox())!;
     expect(devices.x >= 0 && devices.y >= 0 && devices.x + devices.width <= width && devices.y + devices.height <= height).toBe(true);
     await page.screenshot({ path: name("devices") });

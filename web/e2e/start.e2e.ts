@@ -2,7 +2,7 @@
  * The page that one begins with: a click makes a task, the viewer shows its organ at the same address, and a key leads back.
  * The program is in GLISSON_PROGRAM.
  */
-import { spawn, spawnSync, type ChildProcess } from "node:child_process";
+import { spawnSync, type ChildProcess } from "node:child_process";
 import { existsSync, mkdtempSync, readdirSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
@@ -10,45 +10,14 @@ import { afterAll, afterEach, beforeAll, beforeEach, describe, expect, it } from
 import type { Browser, Page } from "playwright-core";
 import { openPage, resultFile, startBrowser, waitForOrgan } from "./browser";
 import { faultsOfLayout, SIZES } from "./layout_check";
+import { BLOCK, serve, stop } from "./program";
 
 const program = process.env.GLISSON_PROGRAM;
 if (program === undefined) console.warn("SKIPPED e2e/start.e2e.ts: GLISSON_PROGRAM is not set (the program glisson)");
 
 /** Organs are made in seconds; a busy machine takes longer. */
 const MAKING_MS = 90_000;
-const BLOCK = `glisson_scene = 1
-name = "a block"
-[simulation]
-time_step = "4 ms"
-[organ]
-box = { min = ["-5 cm", "0 cm", "-5 cm"], max = ["5 cm", "4 cm", "5 cm"] }
-edge = "15 mm"
-tissue = "liver"
-model = "precomputed"
-[[organ.fixed]]
-furthest = { direction = [0, 1, 0], fraction = 0.2 }
-[tool]
-tip_radius = "5 mm"
-home_tip = [0, "-40 mm", 0]
-home_shaft = [0, -1, 0]
-`;
 const BAD_SCENE = "glisson_scene = 1\n[organ]\ntisue = \"liver\"\n";
-
-/** The program in a folder of its own; its address when it answers. */
-async function serve(folder: string, ...options: string[]): Promise<{ program: ChildProcess; url: string }> {
-  const child = spawn(program!, ["start", "--no-open", "--port", "0", ...options], { cwd: folder });
-  return new Promise((resolve, reject) => {
-    let text = "";
-    const hear = (data: Buffer): void => {
-      text += data.toString();
-      const url = /http:\/\/\S+/.exec(text)?.[0];
-      if (url !== undefined) resolve({ program: child, url });
-    };
-    child.stdout.on("data", hear);
-    child.stderr.on("data", hear);
-    child.on("exit", (code) => reject(new Error(`glisson start ended with ${code}: ${text}`)));
-  });
-}
 
 describe.skipIf(program === undefined)("the start page", () => {
   let browser: Browser;
@@ -67,17 +36,14 @@ describe.skipIf(program === undefined)("the start page", () => {
   beforeEach(async () => {
     folder = mkdtempSync(join(tmpdir(), "glisson-start-"));
     writeFileSync(join(folder, "bad.toml"), BAD_SCENE);
-    ({ program: server, url } = await serve(folder));
+    ({ program: server, url } = await serve(folder, ["start"]));
     ({ page, problems } = await openPage(browser));
     await page.goto(url);
     await page.locator("#tasks li").first().waitFor();
   });
   afterEach(async () => {
     await Promise.all(browser.contexts().map((context) => context.close()));
-    server.removeAllListeners("exit");
-    const ended = new Promise((resolve) => server.once("exit", resolve));
-    server.kill("SIGINT");
-    await ended;
+    await stop(server);
     rmSync(folder, { recursive: true, force: true });
   });
 
@@ -206,11 +172,11 @@ describe.skipIf(program === undefined)("the start page", () => {
   it("stores the results of a person, whose instrument a device holds", async () => {
     const task = '[task]\ntitle = "wave"\n[[task.stage]]\ntitle = "touch"\ntouch = {}\n';
     writeFileSync(join(folder, "wave.toml"), BLOCK.replace("[organ]\n", `${task}[organ]\n`));
-    const own = await serve(folder, "--person", "Ada", "--database", "results.sqlite", "--device", "simulated");
+    const own = await serve(folder, ["start", "--person", "Ada", "--database", "results.sqlite", "--device", "simulated"]);
     await page.goto(own.url);
     await page.locator("#scenes li", { hasText: "wave" }).getByRole("button", { name: /^Start/ }).click();
     await waitForOrgan(page);
-    await page.keyboard.press("Shift+D");
+    await page.keyboard.press("Shift+E");
     await page.locator(".devices-table", { hasText: /device: .*simulated/ }).waitFor();
     await page.keyboard.press("Escape");
     // The simulated hand goes to and fro.

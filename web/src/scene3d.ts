@@ -10,6 +10,7 @@ import {
   type ShaderMaterial,
 } from "three";
 import { BleedingMarks } from "./bleeding";
+import { ClassMarks } from "./class_marks";
 import { ContactMarks } from "./contact_marks";
 import type { PushStart, Ray, ToolPose, ViewAxes } from "./drag";
 import type { Feel } from "./feel";
@@ -70,6 +71,7 @@ export class Scene3d {
   other: OtherView | null = null;
   readonly contactMarks = new ContactMarks();
   readonly taskMarks = new TaskMarks();
+  readonly classMarks = new ClassMarks();
   readonly scene = new Scene();
   readonly inside: InsidePicture;
   private readonly bleeding = new BleedingMarks();
@@ -101,7 +103,8 @@ export class Scene3d {
     this.renderer.setClearColor(0x000000, 0);
     this.material = organMaterial(this.tissue);
     this.inside = new InsidePicture(this.material);
-    this.scene.add(this.inside.group, this.bleeding.group, this.contactMarks.group, this.taskMarks.group, this.threads.group);
+    const { bleeding, contactMarks, taskMarks, classMarks, threads } = this;
+    this.scene.add(this.inside.group, ...[bleeding, contactMarks, taskMarks, classMarks, threads].map((part) => part.group));
     this.camera.up.set(0, 0, 1);
     this.orbit = orbitThatShows(new Vector3(-0.1, -0.1, -0.1), new Vector3(0.1, 0.1, 0.1), 1);
     this.resize();
@@ -196,6 +199,7 @@ export class Scene3d {
     organ.showFixed(this.fixedShown);
     this.organs.set(topology.organ, organ);
     this.taskMarks.setTopology(topology);
+    this.classMarks.setTopology(topology);
     this.scene.add(organ.group);
   }
 
@@ -206,6 +210,7 @@ export class Scene3d {
     const isOther = this.inside.show(snapshot.header.inside, organ);
     if (!organ.show(snapshot) && !isOther) return "same";
     this.taskMarks.follow(organ.positions_m);
+    this.classMarks.follow(organ.positions_m);
     return "changed";
   }
 

@@ -10,6 +10,7 @@ use glisson_results::attempt::scene_hash;
 use glisson_results::name::checked_name;
 use glisson_results::utc::utc_text;
 use glisson_results::{Attempt, Comparison, Kept, Store};
+use glisson_runtime::Simulation;
 use glisson_runtime::published::Published;
 use glisson_view::server::{Compare, Show};
 use std::path::{Path, PathBuf};
@@ -83,7 +84,7 @@ impl KeepingArgs {
         }
         let store = self.store()?;
         let (attempt, group, folder) = (attempt.clone(), self.group.clone(), folder.to_path_buf());
-        let state = Mutex::new(State { store, kept: Vec::new() });
+        let state = Mutex::new(State { store, kept: Vec::new(), over_before: Vec::new() });
         Ok(Some(Arc::new(Keeper { attempt, group, folder, state })))
     }
 }
@@ -113,6 +114,8 @@ struct State {
     store: Store,
     /// When the attempts began, by the bits of the simulated time [s], and their numbers, or why they have none.
     kept: Vec<(u64, Result<i64, String>)>,
+    /// When those began that were over before, and are not stored here.
+    over_before: Vec<u64>,
 }
 
 impl Keeper {
@@ -121,8 +124,16 @@ impl Keeper {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Leaves out what was over before a session was cut off that `simulation` goes on with: it was stored then.
+    pub(super) fn pass_over(&self, simulation: &Simulation) {
+        let task = simulation.task().filter(|task| task.outcome().is_some());
+        let began =
+            [task.map(|task| task.record().began_s()), simulation.task_before().map(|task| task.began_s())];
+        self.state().over_before.extend(began.into_iter().flatten().flatten().map(f64::to_bits));
+    }
+
     /// Stores an attempt that ended now, or writes it to a file; its number, or where it is and why. None before an instrument
-    /// moved.
+    /// moved, and of one that was over before.
     fn keep(&self, record: &TaskRecord) -> Option<Result<i64, String>> {
         self.keep_at(record, None)
     }
@@ -135,6 +146,9 @@ impl Keeper {
     ) -> Option<Result<i64, String>> {
         let began = record.began_s()?.to_bits();
         let mut state = self.state();
+        if state.over_before.contains(&began) {
+            return None;
+        }
         if let Some((_, kept)) = state.kept.iter().find(|(known, _)| *known == began) {
             return Some(kept.clone());
         }
@@ -175,7 +189,9 @@ impl Keeper {
 
     /// The attempt beside others.
     pub(super) fn compare(&self, record: &TaskRecord) -> Result<Comparison, String> {
-        let id = self.keep(record).ok_or("no instrument has moved: there is nothing to store")??;
+        let id = self.keep(record).ok_or(
+            "there is nothing to store: no instrument has moved, or it was over before the session was cut off",
+        )??;
         self.state()
             .store
             .compare(id, self.group.as_deref())
@@ -237,9 +253,9 @@ mod tests {
     use glisson::scene::Scene;
     use glisson::tool::ToolInput;
     use glisson_results::Filter;
+    use glisson_runtime::OpenScene;
     use glisson_runtime::live::{self, Command, Shown};
     use glisson_runtime::steering::Steering;
-    use glisson_runtime::{OpenScene, Simulation};
     use std::time::{Duration, Instant};
 
     /// A block that a probe touches.

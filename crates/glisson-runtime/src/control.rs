@@ -275,6 +275,21 @@ mod tests {
     }
 
     #[test]
+    fn who_takes_control_over_leaves_an_instrument_with_who_took_it_and_may_call_it_back() {
+        let control = Control::default();
+        let [learner, second, teacher] = [(); 3].map(|()| control.enter().unwrap());
+        assert!(control.offer(learner, 1, true) && control.take(second, 1));
+        control.take_over(teacher);
+        let cut = |tool| Command::Cut { tool };
+        assert!(control.may_command(second, &cut(1)) && control.may_command(teacher, &cut(0)));
+        assert!(!control.may_command(teacher, &cut(1)) && !control.may_command(learner, &cut(0)));
+        assert!(control.offer(teacher, 1, false), "called back");
+        assert!(control.may_command(teacher, &cut(1)) && !control.may_command(second, &cut(1)));
+        control.give_back(teacher);
+        assert!(control.may_command(learner, &cut(1)));
+    }
+
+    #[test]
     fn there_are_so_many_places_and_no_more() {
         let control = Control::default();
         let viewers: Vec<Viewer> = (0..MOST_VIEWERS).map(|_| control.enter().unwrap()).collect();

@@ -108,9 +108,10 @@ pub fn go_on_with(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::OpenScene;
     use crate::replay::replay;
+    use crate::{OpenScene, Turn};
     use glisson::math::DVec3;
+    use glisson::record::parameter::Parameter;
     use glisson::record::session::SessionEvent;
     use glisson::tool::ToolInput;
     use glisson::world::StepInput;
@@ -173,6 +174,37 @@ mod tests {
         );
         let ended = go_on_with(&session, None, &folder.join("other.jsonl"), 1).err().unwrap();
         assert!(format!("{ended:#}").contains("was not cut off"), "{ended:#}");
+    }
+
+    #[test]
+    fn what_was_turned_and_does_not_hold_yet_holds_at_its_step_in_the_session_that_goes_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path();
+        let session = folder.join("session.jsonl");
+        let turn = Turn { body: 0, parameter: Parameter::YoungModulus, value: 9_000.0 };
+        let mut whole = open(folder, None).unwrap();
+        let mut cut_off = open(folder, Some(&session)).unwrap();
+        for simulation in [&mut whole, &mut cut_off] {
+            push(simulation, 0..20);
+            simulation.turn(turn, Some(50)).unwrap();
+            push(simulation, 20..30);
+        }
+        cut_off.keep_session();
+        drop(cut_off);
+        push(&mut whole, 30..80);
+        let mut resumed = go_on_with(&partial_of(&session), None, &session, 1).unwrap();
+        let young = |simulation: &Simulation| {
+            let state = simulation.parameters().list[0].clone();
+            assert_eq!(state.parameter, Parameter::YoungModulus);
+            (state.value, state.coming)
+        };
+        assert_eq!(young(&resumed).1, Some(9_000.0));
+        push(&mut resumed, 30..80);
+        assert_eq!(young(&resumed), (9_000.0, None));
+        assert_eq!(resumed.world().state_hash(), whole.world().state_hash());
+        let hash = resumed.finish().unwrap();
+        let report = replay(&read_session(&session).unwrap(), folder, |_| Ok(())).unwrap();
+        assert_eq!((report.state_hash, report.first_difference), (hash, None));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use crate::text_file::write_text;
 use anyhow::{Context, bail};
 use glisson::scene::Scene;
 use glisson::text::did_you_mean;
-use glisson::training::task::{TaskRecord, TaskResult};
+use glisson::training::task::{TaskRecord, TaskResult, TaskRun};
 use glisson_results::attempt::scene_hash;
 use glisson_results::name::checked_name;
 use glisson_results::utc::utc_text;
@@ -126,10 +126,13 @@ impl Keeper {
 
     /// Leaves out what was over before a session was cut off that `simulation` goes on with: it was stored then.
     pub(super) fn pass_over(&self, simulation: &Simulation) {
-        let task = simulation.task().filter(|task| task.outcome().is_some());
-        let began =
-            [task.map(|task| task.record().began_s()), simulation.task_before().map(|task| task.began_s())];
-        self.state().over_before.extend(began.into_iter().flatten().flatten().map(f64::to_bits));
+        let task = simulation.task().filter(|task| task.outcome().is_some()).map(TaskRun::record);
+        let over = [task.as_ref(), simulation.task_before().map(AsRef::as_ref)];
+        over.into_iter().flatten().for_each(|record| self.pass_over_attempt(record));
+    }
+
+    fn pass_over_attempt(&self, record: &TaskRecord) {
+        self.state().over_before.extend(record.began_s().map(f64::to_bits));
     }
 
     /// Stores an attempt that ended now, or writes it to a file; its number, or where it is and why. None before an instrument
@@ -312,6 +315,13 @@ mod tests {
         let stored = keeper.state().store.results(&Filter::default()).unwrap();
         let how: Vec<&str> = stored.iter().map(|stored| stored.result.outcome_text()).collect();
         assert_eq!(how, ["passed", "passed", "broken off"]);
+        // Of who goes on with a session, what was over before is stored already.
+        let resuming = args.keeper(&attempt, folder.path()).unwrap().unwrap();
+        let state = Arc::clone(&published.borrow());
+        let before = state.task_before.as_ref().unwrap();
+        resuming.pass_over_attempt(before);
+        assert_eq!(resuming.keep(before), None);
+        assert!(resuming.keep(state.task_record.as_ref().unwrap()).unwrap().is_ok());
         assert_eq!(new_person_text("Ada", &args.store().unwrap()).unwrap(), "");
         let told = new_person_text("Adaa", &args.store().unwrap()).unwrap();
         assert!(told.contains("new person") && told.contains("did you mean \"Ada\"?"), "{told}");

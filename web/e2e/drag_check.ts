@@ -5,6 +5,7 @@
 import type { Page, WebSocketRoute } from "playwright-core";
 import type {} from "../src/hook";
 import { encodeSnapshot } from "../src/encode";
+import type { Key } from "../src/coded_positions";
 import { decodeBinary } from "../src/protocol";
 import { waitForOrgan } from "./browser";
 
@@ -181,6 +182,7 @@ export async function keepSendingRestShape(page: Page): Promise<{ rewritten(): n
   let rewritten = 0;
   await page.routeWebSocket(/\/ws$/, (route: WebSocketRoute) => {
     let rest: Float32Array | null = null;
+    let key: Key | null = null;
     const server = route.connectToServer();
     route.onMessage((message) => server.send(message));
     server.onMessage((message) => {
@@ -188,7 +190,11 @@ export async function keepSendingRestShape(page: Page): Promise<{ rewritten(): n
         route.send(message);
         return;
       }
-      const decoded = decodeBinary(new Uint8Array(message).buffer);
+      const decoded = decodeBinary(new Uint8Array(message).buffer, key);
+      if (decoded.kind === "key") {
+        key = decoded;
+        return;
+      }
       if (decoded.kind === "topology") {
         rest = decoded.rest_m.slice();
         route.send(message);

@@ -5,9 +5,29 @@ export const program = process.env.GLISSON_PROGRAM;
 
 export interface ServedProgram {
   readonly url: string;
+  /** Of who teaches, where the page has one. */
+  readonly teacherUrl: Promise<string>;
   /** Ends it as Ctrl-C does, and waits for that. */
   stop(): Promise<void>;
 }
+
+/** A scene that is made at once. */
+export const BLOCK = `glisson_scene = 1
+name = "a block"
+[simulation]
+time_step = "4 ms"
+[organ]
+box = { min = ["-5 cm", "0 cm", "-5 cm"], max = ["5 cm", "4 cm", "5 cm"] }
+edge = "15 mm"
+tissue = "liver"
+model = "precomputed"
+[[organ.fixed]]
+furthest = { direction = [0, 1, 0], fraction = 0.2 }
+[tool]
+tip_radius = "5 mm"
+home_tip = [0, "-40 mm", 0]
+home_shaft = [0, -1, 0]
+`;
 
 /** A verb that serves a page; its address when it answers. */
 export async function serveProgram(verb: readonly string[], cwd?: string): Promise<ServedProgram> {
@@ -20,10 +40,13 @@ export async function serveProgram(verb: readonly string[], cwd?: string): Promi
   };
   return new Promise((resolve, reject) => {
     let text = "";
+    let tell: (url: string) => void;
+    const teacherUrl = new Promise<string>((told) => (tell = told));
     const hear = (data: Buffer): void => {
       text += data.toString();
-      const url = /http:\/\/\S+/.exec(text)?.[0];
-      if (url !== undefined) resolve({ url, stop });
+      const [url, ofTeacher] = [...text.matchAll(/(http:\/\/\S+)\s/g)].map((match) => match[1]);
+      if (url !== undefined) resolve({ url, teacherUrl, stop });
+      if (ofTeacher !== undefined) tell(ofTeacher);
     };
     child.stdout!.on("data", hear);
     child.stderr!.on("data", hear);

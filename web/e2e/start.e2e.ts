@@ -9,29 +9,13 @@ import { join } from "node:path";
 import { afterAll, afterEach, beforeAll, beforeEach, describe, expect, it } from "vitest";
 import type { Browser, Page } from "playwright-core";
 import { openPage, resultFile, startBrowser, waitForOrgan } from "./browser";
-import { program, serveProgram, type ServedProgram } from "./serve";
+import { BLOCK, program, serveProgram, type ServedProgram } from "./serve";
 import { faultsOfLayout, SIZES } from "./layout_check";
 
 if (program === undefined) console.warn("SKIPPED e2e/start.e2e.ts: GLISSON_PROGRAM is not set (the program glisson)");
 
 /** Organs are made in seconds; a busy machine takes longer. */
 const MAKING_MS = 90_000;
-const BLOCK = `glisson_scene = 1
-name = "a block"
-[simulation]
-time_step = "4 ms"
-[organ]
-box = { min = ["-5 cm", "0 cm", "-5 cm"], max = ["5 cm", "4 cm", "5 cm"] }
-edge = "15 mm"
-tissue = "liver"
-model = "precomputed"
-[[organ.fixed]]
-furthest = { direction = [0, 1, 0], fraction = 0.2 }
-[tool]
-tip_radius = "5 mm"
-home_tip = [0, "-40 mm", 0]
-home_shaft = [0, -1, 0]
-`;
 const BAD_SCENE = "glisson_scene = 1\n[organ]\ntisue = \"liver\"\n";
 
 describe.skipIf(program === undefined)("the start page", () => {

@@ -9,8 +9,10 @@ import {
   type Snapshot,
   type Topology,
 } from "./protocol";
+import type { Key } from "./coded_positions";
 import type { Feel } from "./feel";
 import { text } from "./language";
+import type { ClassNews, MarksNews } from "./classroom";
 import type { TaskNews } from "./task";
 import type { Role, Timing } from "./timing";
 import type { Parameters } from "./turning/parameters";
@@ -27,6 +29,8 @@ export interface ConnectionEvents {
   feel(feel: Feel): void;
   task(task: TaskNews): void;
   parameters(parameters: Parameters): void;
+  classroom(news: ClassNews): void;
+  marks(news: MarksNews): void;
   /** An error message of the server, or a message that could not be understood. */
   error(message: string): void;
   /** What is as it should be, and worth knowing. */
@@ -74,6 +78,8 @@ export function messageOf(
 
 export class Connection {
   private socket: WebSocket | null = null;
+  /** Where positions are differences from. */
+  private key: Key | null = null;
   private attempt = 0;
 
   /** `elsewhere`: whether a lost connection is not to be made again, because another page is served here; null: ask again. */
@@ -135,11 +141,14 @@ export class Connection {
         else if (message.type === "feel") this.events.feel(message);
         else if (message.type === "task") this.events.task(message);
         else if (message.type === "parameters") this.events.parameters(message);
+        else if (message.type === "class") this.events.classroom(message);
+        else if (message.type === "marks") this.events.marks(message);
         else if (message.type === "news") this.events.notice(message.message);
         else this.events.error(text("server_says", { message: message.message }));
       } else if (data instanceof ArrayBuffer) {
-        const message = decodeBinary(data);
-        if (message.kind === "topology") this.events.topology(message);
+        const message = decodeBinary(data, this.key);
+        if (message.kind === "key") this.key = message;
+        else if (message.kind === "topology") this.events.topology(message);
         else this.events.snapshot(message, data.byteLength);
       }
     } catch (error) {

@@ -64,6 +64,8 @@ export interface ViewerHook {
     readonly target_m: readonly [number, number, number];
   };
   readonly theatre: TheatreReport;
+  /** Dots of what is drawn on the tissue, and of those who point. */
+  readonly drawn: { readonly dots: number; readonly pointers: number };
   readonly connection: ConnectionState;
   readonly messages: readonly string[];
   readonly counters: {
@@ -153,6 +155,9 @@ export function viewerHook(parts: () => ViewerParts): ViewerHook {
       const { azimuth_rad, elevation_rad, distance_m, target_m } = scene.orbit;
       const camera = { azimuth_rad, elevation_rad, distance_m, target_m: triple(target_m) };
       return { ...shown, ...camera, style: SURFACE_STYLES[shown.style], help: help.open };
+    },
+    get drawn() {
+      return parts().scene.classMarks.shown;
     },
     get theatre() {
       return parts().theatre.report();

@@ -41,7 +41,7 @@ export function bind<A extends string>(
 }
 
 /** One of the viewer, in the page's language. */
-function own(group: "simulation" | "view" | "instrument" | "program", action: Action, keys: string, chords: readonly Chord[], repeats = false): Binding {
+function own(group: "simulation" | "view" | "instrument" | "class" | "program", action: Action, keys: string, chords: readonly Chord[], repeats = false): Binding {
   return bind(text(`group_${group}`), action, keysIn(LANGUAGE, keys), text(`key_${action}`), chords, repeats);
 }
 
@@ -89,6 +89,10 @@ export const BINDINGS: readonly Binding[] = [
   own("instrument", "tool_2", "2", plain("2")),
   own("instrument", "tool_3", "3", plain("3")),
   own("instrument", "tool_4", "4", plain("4")),
+  own("class", "take_over", "Shift B", [{ key: "b", shift: true }]),
+  own("class", "draw", "Shift W", [{ key: "w", shift: true }]),
+  own("class", "mark_tip", "Shift Y", [{ key: "y", shift: true }]),
+  own("class", "erase", "Shift Z", [{ key: "z", shift: true }]),
   own("program", "panel", "Shift P", [{ key: "p", shift: true }]),
   own("program", "plot", "Shift F", [{ key: "f", shift: true }]),
   own("program", "plot_next", "Shift G", [{ key: "g", shift: true }]),
@@ -116,7 +120,7 @@ const OF_SLIDERS = /^( |Arrow.*|Home|End|Page.*)$/;
 
 /** Whether a key press is for the part of the page that has the focus: it presses a button, or chooses from a list. */
 export function isForPart({ target, key }: Pick<KeyboardEvent, "target" | "key">): boolean {
-  const isTyped = target instanceof HTMLInputElement && target.inputMode === "decimal";
+  const isTyped = target instanceof HTMLInputElement && target.type === "text";
   if (target instanceof HTMLSelectElement || isTyped) return key !== "Escape";
   // Page keys scroll what is too long.
   if (target instanceof HTMLElement && target.matches("[tabindex]") && target.scrollHeight > target.clientHeight && key.startsWith("Page")) return true;

@@ -16,6 +16,7 @@ export interface Page {
   readonly outside: HTMLElement;
   readonly turning: HTMLElement;
   readonly inside: HTMLElement;
+  readonly classroom: HTMLElement;
 }
 
 function part<T extends HTMLElement>(id: string): T {
@@ -42,5 +43,6 @@ export function findPage(): Page {
     outside: part("outside"),
     turning: part("turning"),
     inside: part("inside"),
+    classroom: part("classroom"),
   };
 }

@@ -1,5 +1,5 @@
 /**
- * The wire protocol of docs/protocol.md, version 8: decoding of every message, encoding of the viewer's.
+ * The wire protocol of docs/protocol.md, version 11: decoding of every message, encoding of the viewer's.
  *
  * Decoders check every length and index against the bytes really there before anything is allocated,
  * and throw nothing but {@link ProtocolError}. Units: metres, seconds, newtons; frame: LPS.
@@ -10,6 +10,8 @@ import { decodeParameters, type ParameterName, type Parameters } from "./turning
 import { BLOOD_BYTES, decodeBlood, type Bleeding } from "./blood";
 import { bodiesAt, type BodyInfo } from "./body_info";
 import { contactPointsBytes, decodeContactPoints, type ContactPoints } from "./contact_points";
+import { decodeClass, decodeMarks, type ClassNews, type MarksNews } from "./classroom";
+import { codedBytes, decodeCoded, decodeKey, type Key } from "./coded_positions";
 import { decodeInside, insideBytes, type FieldKind, type InsideSnapshot } from "./inside/snapshot";
 import type { CutPlane } from "./inside/plane";
 import { decodeThreads, threadsBytes, type Thread } from "./threads";
@@ -18,17 +20,19 @@ import { decodeRole, decodeTiming, type Role, type Timing } from "./timing";
 import { MOST_TOOLS, toolsAt, type JawsInfo, type OpticsInfo, type ToolInfo } from "./tool_info";
 import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Fields, type Vec3 } from "./fields";
 
-export const PROTOCOL_VERSION = 10;
+export const PROTOCOL_VERSION = 11;
 /** Bytes `GLSN` read as a little-endian u32. */
 export const MAGIC = 0x4e534c47;
 export const KIND_TOPOLOGY = 1;
 export const KIND_SNAPSHOT = 2;
+export const KIND_KEY = 3;
 export const FLAG_CONTACT = 1;
 export const FLAG_PAUSED = 2;
 export const FLAG_GRASP = 4;
 export const FLAG_CONTACT_POINTS = 8;
 export const FLAG_THREADS = 16;
 export const FLAG_INSIDE = 32;
+export const FLAG_CODED = 64;
 
 export const TOPOLOGY_HEADER_BYTES = 24;
 export const SNAPSHOT_HEADER_BYTES = 64;
@@ -159,6 +163,10 @@ export type ClientMessage =
   | { readonly type: "undo" }
   | { readonly type: "task_event"; readonly number: number }
   | { readonly type: "leave" }
+  | { readonly type: "take_over" | "give_back" | "erase" }
+  | { readonly type: "introduce"; readonly name: string }
+  | { readonly type: "point"; readonly at_m: Vec3 | null }
+  | { readonly type: "draw"; readonly points_m: readonly Vec3[] }
   | { readonly type: "contacts"; readonly shown: boolean }
   | { readonly type: "gravity"; readonly m_per_s2: Vec3 }
   | { readonly type: "model"; readonly name: string }
@@ -174,7 +182,7 @@ export function encodeClientMessage(message: ClientMessage): string {
 // ---- text ----
 
 /** Decodes a text message of the server. */
-export function decodeText(text: string): Hello | ServerNotice | Role | Timing | Feel | TaskNews | Parameters {
+export function decodeText(text: string): Hello | ServerNotice | Role | Timing | Feel | TaskNews | Parameters | ClassNews | MarksNews {
   let parsed: unknown;
   try {
     parsed = JSON.parse(text);
@@ -189,8 +197,10 @@ export function decodeText(text: string): Hello | ServerNotice | Role | Timing |
   if (type === "feel") return decodeFeel(fields);
   if (type === "task") return decodeTask(fields);
   if (type === "parameters") return decodeParameters(fields);
+  if (type === "class") return decodeClass(fields);
+  if (type === "marks") return decodeMarks(fields);
   if (type !== "hello") {
-    fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello, role, timing, feel, task, parameters, news or error`);
+    fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello, role, timing, feel, task, parameters, class, marks, news or error`);
   }
   const protocol = numberAt(fields, "protocol", "hello");
   if (protocol !== PROTOCOL_VERSION) {
@@ -257,16 +267,17 @@ function checkLength(found: number, needed: number, what: string): void {
   if (found !== needed) fail(`${what} needs ${needed} bytes, found ${found}`);
 }
 
-/** Decodes a binary message of the server. */
-export function decodeBinary(buffer: ArrayBuffer): Topology | Snapshot {
+/** Decodes a binary message of the server; `held`: the last key that came. */
+export function decodeBinary(buffer: ArrayBuffer, held: Key | null = null): Topology | Snapshot | Key {
   if (buffer.byteLength < 16) fail(`binary message of ${buffer.byteLength} bytes; its header alone has 16`);
   const view = new DataView(buffer);
   const magic = view.getUint32(0, true);
   if (magic !== MAGIC) fail(`binary message begins with 0x${magic.toString(16)}, not with 0x${MAGIC.toString(16)} (GLSN)`);
   const kind = view.getUint32(4, true);
   if (kind === KIND_TOPOLOGY) return decodeTopology(buffer, view);
-  if (kind === KIND_SNAPSHOT) return decodeSnapshot(buffer, view);
-  return fail(`binary message of unknown kind ${kind}; allowed: 1 (topology), 2 (snapshot)`);
+  if (kind === KIND_SNAPSHOT) return decodeSnapshot(buffer, view, held);
+  if (kind === KIND_KEY) return decodeKey(buffer, view);
+  return fail(`binary message of unknown kind ${kind}; allowed: 1 (topology), 2 (snapshot), 3 (key)`);
 }
 
 function decodeTopology(buffer: ArrayBuffer, view: DataView): Topology {
@@ -300,7 +311,7 @@ function decodeTopology(buffer: ArrayBuffer, view: DataView): Topology {
   };
 }
 
-function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
+function decodeSnapshot(buffer: ArrayBuffer, view: DataView, held: Key | null): Snapshot {
   if (buffer.byteLength < SNAPSHOT_HEADER_BYTES) fail(`snapshot of ${buffer.byteLength} bytes; its header has 64`);
   const nTools = view.getUint32(52, true);
   if (nTools < 1 || nTools > MOST_TOOLS) fail(`snapshot with ${nTools} instruments; allowed: 1 to ${MOST_TOOLS}`);
@@ -308,7 +319,8 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
   const nBlood = view.getUint32(60, true);
   const first = SNAPSHOT_HEADER_BYTES + TOOL_BYTES * nTools;
   const flags = view.getUint32(48, true);
-  const blood = first + 12 * nVertices;
+  const isCoded = (flags & FLAG_CODED) !== 0;
+  const blood = first + (isCoded ? codedBytes(view, first) : 12 * nVertices);
   const contacts = blood + BLOOD_BYTES * nBlood;
   const hasContacts = (flags & FLAG_CONTACT_POINTS) !== 0;
   const threads = contacts + (hasContacts ? contactPointsBytes(view, contacts) : 0);
@@ -348,8 +360,8 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
       shownFurtherOut_m: vector(at + 128, "way that the tool is shown further out"),
     };
   };
-  const positions_m = floatsAt(buffer, first, 3 * nVertices);
-  checkFinite(positions_m, "snapshot: position");
+  const positions_m = isCoded ? decodeCoded(view, first, nVertices, held) : floatsAt(buffer, first, 3 * nVertices);
+  if (!isCoded) checkFinite(positions_m, "snapshot: position");
   return {
     kind: "snapshot",
     header: {

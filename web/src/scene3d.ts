@@ -10,6 +10,7 @@ import {
   type ShaderMaterial,
 } from "three";
 import { BleedingMarks } from "./bleeding";
+import { ClassMarks } from "./class_marks";
 import { OperatingField } from "./field/field";
 import { ContactMarks } from "./contact_marks";
 import { isFull, setFullDetail, type DetailChoice } from "./detail";
@@ -75,6 +76,7 @@ export class Scene3d {
   other: OtherView | null = null;
   readonly contactMarks = new ContactMarks();
   readonly taskMarks = new TaskMarks();
+  readonly classMarks = new ClassMarks();
   readonly scene = new Scene();
   readonly inside: InsidePicture;
   readonly field: OperatingField;
@@ -110,7 +112,8 @@ export class Scene3d {
     this.material = organMaterial(this.tissue, this.patterns);
     this.inside = new InsidePicture(this.material);
     this.field = new OperatingField(this.material);
-    this.scene.add(this.inside.group, this.bleeding.group, this.contactMarks.group, this.taskMarks.group, this.threads.group, this.field.group);
+    const { bleeding, contactMarks, taskMarks, classMarks, threads, field } = this;
+    this.scene.add(this.inside.group, ...[bleeding, contactMarks, taskMarks, classMarks, threads, field].map((part) => part.group));
     this.camera.up.set(0, 0, 1);
     this.orbit = orbitThatShows(new Vector3(-0.1, -0.1, -0.1), new Vector3(0.1, 0.1, 0.1), 1);
     this.resize();
@@ -207,6 +210,7 @@ export class Scene3d {
     this.organs.set(topology.organ, organ);
     if (topology.organ === 0) this.field.adopt(organ);
     this.taskMarks.setTopology(topology);
+    this.classMarks.setTopology(topology);
     this.scene.add(organ.group);
   }
 
@@ -216,7 +220,10 @@ export class Scene3d {
     if (organ === undefined || organ.topology.version !== snapshot.header.version) return "other_topology";
     const isColoured = this.inside.show(snapshot.header.inside, organ);
     const moved = organ.show(snapshot);
-    if (moved) this.taskMarks.follow(organ.positions_m);
+    if (moved) {
+      this.taskMarks.follow(organ.positions_m);
+      this.classMarks.follow(organ.positions_m);
+    }
     const lives = snapshot.header.organ === 0 && this.field.take(snapshot.header, organ);
     return isColoured || moved || lives ? "changed" : "same";
   }

@@ -1,6 +1,6 @@
 /** Where a task wants something done, on the organ: a place, or a line that goes with the tissue. */
-import { Group, InstancedMesh, Matrix4, MeshBasicMaterial, SphereGeometry, Vector3 } from "three";
-import { nearestOnSurface, placeIn, type OnSurface } from "./field/on_surface";
+import { Group, Vector3 } from "three";
+import { Dots, dotsAlong, nearestOnSurface, placeIn, type OnSurface } from "./on_surface";
 import type { Topology } from "./protocol";
 import type { TaskMark } from "./task";
 
@@ -14,18 +14,7 @@ const DOTS = 40;
 /** Points along a mark, ends included [m]: on a line the same way apart, whatever points it is given by. */
 export function pointsOf(mark: TaskMark): Vector3[] {
   const points = mark.points_m.map((point) => new Vector3(...point));
-  if (mark.kind !== "line") return points.slice(0, 1);
-  const lengths = points.slice(1).map((point, i) => point.distanceTo(points[i]));
-  const apart = lengths.reduce((sum, length) => sum + length, 0) / DOTS;
-  let [piece, before] = [0, 0];
-  return Array.from({ length: DOTS + 1 }, (_, i) => {
-    while (piece < lengths.length - 1 && before + lengths[piece] < i * apart) {
-      before += lengths[piece];
-      piece += 1;
-    }
-    const share = Math.min((i * apart - before) / lengths[piece], 1);
-    return points[piece].clone().lerp(points[piece + 1], share);
-  });
+  return mark.kind === "line" ? dotsAlong(points, DOTS) : points.slice(0, 1);
 }
 
 export class TaskMarks {
@@ -33,17 +22,10 @@ export class TaskMarks {
   private mark: TaskMark | null = null;
   private topology: Topology | null = null;
   private places: readonly OnSurface[] = [];
-  private readonly ball = new SphereGeometry(1, 16, 12);
-  private readonly dots: InstancedMesh;
+  private readonly dots = new Dots(COLOUR, DOTS + 1);
 
   constructor() {
-    // Seen through what lies before it, faintly enough not to be taken for tissue.
-    const material = new MeshBasicMaterial({ color: COLOUR, transparent: true, opacity: 0.85, depthTest: false, toneMapped: false });
-    this.dots = new InstancedMesh(this.ball, material, DOTS + 1);
-    this.dots.count = 0;
-    this.dots.frustumCulled = false;
-    this.dots.renderOrder = 12;
-    this.group.add(this.dots);
+    this.group.add(this.dots.mesh);
   }
 
   /** Answers whether something else is to be drawn. */
@@ -78,8 +60,6 @@ export class TaskMarks {
       for (const place of this.places) at.push(placeIn(positions_m, place, new Vector3()));
     }
     const radius_m = mark?.kind === "line" ? DOT_RADIUS_M : PLACE_RADIUS_M;
-    at.forEach((point, i) => this.dots.setMatrixAt(i, new Matrix4().makeScale(radius_m, radius_m, radius_m).setPosition(point)));
-    this.dots.count = at.length;
-    this.dots.instanceMatrix.needsUpdate = true;
+    this.dots.show(at.map((at_m) => ({ at_m, radius_m })));
   }
 }

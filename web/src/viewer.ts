@@ -1,4 +1,5 @@
 /** The viewer: joins connection, picture, panel, pointer and keys. One frame does all its work, and only on demand. */
+import { ClassView } from "./class_view";
 import { Connection, messageOf, socketAddress, type ConnectionState } from "./connection";
 import { Contacts } from "./contacts";
 import { Controls } from "./controls";
@@ -40,11 +41,11 @@ export class Viewer {
   private readonly bodies: BodyList;
   private readonly contacts: Contacts;
   private readonly task: TaskPanel;
+  private readonly classroom: ClassView;
   private readonly hands = new Hands();
   private readonly table = new Table();
   private readonly lab: Laboratory;
   private readonly profile = new Profile();
-
   private hello: Hello | null = null;
   private readonly news = new LoopNews(() => this.showPanel(), (feel) => this.scene.feel(feel));
   private waiting = new Map<number, Snapshot>();
@@ -70,11 +71,11 @@ export class Viewer {
     this.bodies = new BodyList(page.bodies, (hidden) => { this.scene.hide(hidden); this.redraw(); });
     this.contacts = new Contacts(page.contacts, this.scene.contactMarks);
     this.task = new TaskPanel(page.task, (number) => this.connection.send({ type: "task_event", number }));
+    this.classroom = new ClassView(page, this.scene, (message) => this.connection.send(message), () => this.redraw());
     this.toolbar = new Toolbar(page.toolbar, (action) => this.run(action, false));
     this.theatre = new Theatre(this.scene, page);
     this.motion = new HandMotion(this.scene, this.hands, this.theatre, page, this.messages, {
-      moved: () => this.invalidate(),
-      viewed: (orbit) => this.setOrbit(orbit),
+      moved: () => this.invalidate(), viewed: (orbit) => this.setOrbit(orbit),
     });
     this.controls = new Controls(page.scene, this.motion);
     const { panel, scene, hands, motion, news } = this;
@@ -90,13 +91,13 @@ export class Viewer {
     // Not the canvas, which is as deep as the panel: what is changed while one size is told has to be deeper to be told, too.
     for (const part of [page.scene.parentElement!, page.toolbar, page.panel, page.task]) sizes.observe(part);
     page.scene.addEventListener("webglcontextlost", () => this.messages.error(text("graphics_lost")));
-
     this.connection = new Connection(socketAddress(window.location.href), {
       state: (state, attempt) => this.connectionState(state, attempt),
       hello: (hello) => this.begin(hello),
       topology: (topology) => this.setTopology(topology),
       snapshot: (snapshot, bytes) => this.receive(snapshot, bytes),
       ...this.news.events,
+      ...this.classroom.events,
       task: ({ status }) => {
         if (this.task.show(status) && !this.theatre.on) this.turnTheatre(true);
         if (this.theatre.setDark(status?.is_dark ?? false)) this.redraw();
@@ -216,6 +217,7 @@ export class Viewer {
     if (action === "bodies") this.bodies.hideNext();
     if (isSwitch(action)) this.looks.turn(action, this.connection);
     if (action === "profiler") this.showProfiler();
+    this.classroom.run(action, this.hands.chosen);
     switch (action) {
       case "pause":
       case "single_step":
@@ -317,7 +319,6 @@ export class Viewer {
     const begun_ms = performance.now();
     const dt_s = Math.min(0.1, Math.max(0, (now_ms - (this.lastFrame_ms ?? now_ms)) / 1000));
     this.lastFrame_ms = now_ms;
-
     for (const { tool, pose } of this.hands.advance(dt_s * this.news.slowMotion.speed, (tool) => this.scene.pose(tool))) {
       if (this.connection.send(this.hands.message(tool, pose, this.header))) this.counters.sentToolMessages += 1;
     }

@@ -2,7 +2,7 @@ import { Vector3 } from "three";
 import { describe, expect, it } from "vitest";
 import type { BleedingEnd } from "../src/blood";
 import { BloodFlow, puddleRadius_m, type BloodySurface } from "../src/field/blood_flow";
-import { placeIn } from "../src/field/on_surface";
+import { placeIn } from "../src/on_surface";
 import { Smoke } from "../src/field/smoke";
 
 const DOWN = new Vector3(0, 0, -1);

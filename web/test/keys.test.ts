@@ -32,7 +32,7 @@ describe("keys", () => {
     expect(press("R", { shiftKey: true })).toBe("reset_simulation");
     expect(press("ArrowRight", { shiftKey: true })).toBe("tilt_right");
     expect(press("J", { shiftKey: true })).toBe("tool_left");
-    expect(press("W", { shiftKey: true })).toBeNull();
+    expect(press("W", { shiftKey: true })).toBe("draw");
     expect(press("?", { shiftKey: true })).toBe("help");
   });
 

@@ -3,7 +3,7 @@ import { describe, expect, it } from "vitest";
 import { BINDINGS } from "../src/keys";
 import { PLAYER_BINDINGS, PLAYER_BUTTONS } from "../src/replay/keys";
 import { between } from "../src/replay/between";
-import { Taker } from "../src/replay/bytes";
+import { Taker } from "../src/bytes";
 import { timeInFragment } from "../src/replay/fragment";
 import { bytesOfBase64 } from "../src/replay/page";
 import { neighbour, Playback } from "../src/replay/playback";

@@ -1,6 +1,6 @@
 import { Vector3 } from "three";
 import { describe, expect, it } from "vitest";
-import { nearestOnSurface } from "../src/field/on_surface";
+import { nearestOnSurface } from "../src/on_surface";
 import { pointsOf, TaskMarks } from "../src/task_marks";
 
 /** A square of two triangles in the plane z = 0, and a third one that lies in a cut. */

@@ -1,5 +1,5 @@
-//! One viewer controls, all may watch. It may offer instruments to the others, of whom each may take one into the hand: so two people at two
-//! machines operate together.
+//! One viewer controls, all may watch. Who teaches takes control over, and gives it back. Who controls may offer instruments to the
+//! others, of whom each may take one into the hand: so two people at two machines operate together.
 
 use crate::live::Command;
 use glisson::tool::MAX_TOOLS;
@@ -7,11 +7,12 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
 /// Viewers at the same time.
-pub const MOST_VIEWERS: usize = 32;
+pub const MOST_VIEWERS: usize = 64;
 /// Who may be in control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Viewer {
-    number: u64,
+    /// That of nobody else.
+    pub number: u64,
     /// Whether it is a connection of a page, or of a program like one.
     pub has_page: bool,
 }
@@ -49,8 +50,10 @@ impl Steers {
 
 #[derive(Debug, Default)]
 struct Seats {
-    n_viewers: usize,
+    present: Vec<Viewer>,
     last_number: u64,
+    /// From whom control was taken over.
+    taken_from: Option<Viewer>,
 }
 
 /// Who controls.
@@ -86,19 +89,42 @@ impl Control {
 
     fn sit_down(&self, has_page: bool) -> Option<Viewer> {
         let mut seats = self.seats();
-        if seats.n_viewers == MOST_VIEWERS {
+        if seats.present.len() == MOST_VIEWERS {
             return None;
         }
-        seats.n_viewers += 1;
         seats.last_number += 1;
-        Some(Viewer { number: seats.last_number, has_page })
+        let viewer = Viewer { number: seats.last_number, has_page };
+        seats.present.push(viewer);
+        Some(viewer)
     }
 
-    /// Frees the viewer's place and what it has: control, instruments.
+    /// Frees the viewer's place and what it has: control, which it gives back, and instruments.
     pub fn leave(&self, viewer: Viewer) {
-        self.release(viewer);
-        (0..MAX_TOOLS).for_each(|tool| self.give_back(viewer, tool));
-        self.seats().n_viewers -= 1;
+        self.seats().present.retain(|present| *present != viewer);
+        self.give_back(viewer);
+        (0..MAX_TOOLS).for_each(|tool| self.lay_down(viewer, tool));
+    }
+
+    /// Takes control over, whoever has it.
+    pub fn take_over(&self, viewer: Viewer) {
+        let before = self.steers.borrow().controller;
+        if before != Some(viewer) {
+            self.seats().taken_from = before;
+            self.steers.send_modify(|steers| steers.controller = Some(viewer));
+        }
+    }
+
+    /// Gives control to the one from whom it was taken over; to whoever does something next, if that one is gone or there is none.
+    pub fn give_back(&self, viewer: Viewer) {
+        if self.steers.borrow().controller != Some(viewer) {
+            return;
+        }
+        let before = {
+            let mut seats = self.seats();
+            let before = seats.taken_from.take();
+            before.filter(|before| seats.present.contains(before))
+        };
+        self.steers.send_modify(|steers| steers.controller = before);
     }
 
     /// Whether this viewer controls; takes control when nobody has it.
@@ -151,7 +177,7 @@ impl Control {
     }
 
     /// Gives an instrument back that this viewer took: then it is offered again.
-    pub fn give_back(&self, viewer: Viewer, tool: usize) {
+    pub fn lay_down(&self, viewer: Viewer, tool: usize) {
         let give = |steers: &mut Steers| {
             let taken = steers.holders.get_mut(tool).filter(|holder| **holder == Holder::Taken(viewer));
             taken.map(|holder| *holder = Holder::Offered).is_some()
@@ -224,6 +250,43 @@ mod tests {
         assert!(control.offer(third, 1, false), "called back");
         assert_eq!(control.watch().borrow().holders, [Holder::Controller; MAX_TOOLS]);
         assert!(!control.take(third, MAX_TOOLS), "no such instrument");
+    }
+
+    #[test]
+    fn control_that_was_taken_over_goes_back_to_whom_it_was_taken_from() {
+        let control = Control::default();
+        let [learner, teacher, other] = [(); 3].map(|()| control.enter().unwrap());
+        control.take_over(teacher);
+        assert!(!control.may_control(learner) && control.may_control(teacher));
+        // Again changes nothing of whose it was; nobody else can give it away.
+        control.take_over(teacher);
+        control.give_back(other);
+        control.give_back(teacher);
+        assert!(control.may_control(learner) && !control.may_control(teacher));
+        // Also when who took it is gone.
+        control.take_over(teacher);
+        control.leave(teacher);
+        assert!(control.may_control(learner));
+        // Where the learner is gone, whoever does something has it.
+        control.take_over(other);
+        control.leave(learner);
+        control.give_back(other);
+        assert_eq!(control.watch().borrow().controller, None);
+    }
+
+    #[test]
+    fn who_takes_control_over_leaves_an_instrument_with_who_took_it_and_may_call_it_back() {
+        let control = Control::default();
+        let [learner, second, teacher] = [(); 3].map(|()| control.enter().unwrap());
+        assert!(control.offer(learner, 1, true) && control.take(second, 1));
+        control.take_over(teacher);
+        let cut = |tool| Command::Cut { tool };
+        assert!(control.may_command(second, &cut(1)) && control.may_command(teacher, &cut(0)));
+        assert!(!control.may_command(teacher, &cut(1)) && !control.may_command(learner, &cut(0)));
+        assert!(control.offer(teacher, 1, false), "called back");
+        assert!(control.may_command(teacher, &cut(1)) && !control.may_command(second, &cut(1)));
+        control.give_back(teacher);
+        assert!(control.may_command(learner, &cut(1)));
     }
 
     #[test]

@@ -103,6 +103,8 @@ pub struct Ended {
     pub times: StepTimes,
 }
 
+/// How often what was recorded is handed to the system: half of what a crash may lose.
+const KEEP_EVERY: Duration = Duration::from_millis(500);
 /// A simulation that fell further behind than this drops the lag instead of running after it.
 const MAX_LAG: Duration = Duration::from_millis(100);
 /// Steps from an order to the moment another model takes over: half a second at 1 ms.
@@ -423,6 +425,7 @@ pub fn run(
         timed.stall();
         timed.unless_broken(Timed::keep_pace)?;
         timed.unless_broken(Timed::show)?;
+        timed.unless_broken(Timed::keep_session)?;
     }
 }
 
@@ -438,6 +441,7 @@ struct Timed<'a> {
     lateness: Lateness,
     simulated_until: Instant,
     next_frame: Instant,
+    next_keeping: Instant,
     last_shown: Option<Instant>,
     wants_refresh: bool,
     stalls: Option<&'a Stalls>,
@@ -454,7 +458,10 @@ impl<'a> Timed<'a> {
         stalls: Option<&'a Stalls>,
     ) -> Self {
         let dt_s = simulation.world().spec().time_step_s;
-        let tools = homes(&simulation);
+        // Those of a session that goes on are where they were.
+        let world = simulation.world();
+        let tools: Vec<ToolInput> = (0..world.tools().len()).map(|tool| world.tool_pose(tool)).collect();
+        let paused = simulation.is_resumed();
         let live = Live {
             simulation,
             targets: tools.clone(),
@@ -464,7 +471,7 @@ impl<'a> Timed<'a> {
             elsewhere: NearbyMaker::default(),
             published_ns: 0,
             publishing_ns: 0,
-            paused: false,
+            paused,
             speed: 1.0,
             dt_s,
         };
@@ -479,6 +486,7 @@ impl<'a> Timed<'a> {
             lateness: Lateness::default(),
             simulated_until: now,
             next_frame: now,
+            next_keeping: now + KEEP_EVERY,
             last_shown: None,
             wants_refresh: false,
             stalls,
@@ -592,6 +600,16 @@ impl<'a> Timed<'a> {
             self.meters.count_frame(shown - before);
         }
         self.last_shown = self.last_shown.filter(|_| !self.live.paused);
+        Ok(())
+    }
+
+    /// Beside the steps: a crash of the program loses what happened since.
+    fn keep_session(&mut self) -> anyhow::Result<()> {
+        let now = Instant::now();
+        if now >= self.next_keeping {
+            self.next_keeping = now + KEEP_EVERY;
+            self.live.simulation.keep_session();
+        }
         Ok(())
     }
 

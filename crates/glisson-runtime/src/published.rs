@@ -74,8 +74,10 @@ impl Published {
     /// The state of a simulation of which nothing was shown yet.
     pub(crate) fn first(simulation: &Simulation, meters: &Arc<StepMeters>) -> Self {
         let topology = Arc::new(simulation.world().display_topology());
+        // A session that goes on stands still at first.
+        let pace = Pace { paused: simulation.is_resumed(), ..Pace::default() };
         let nobody = Watched { contacts: Arc::default(), inside: Arc::default(), before: None };
-        Self::of(simulation, topology, meters, nobody)
+        Self { pace, ..Self::of(simulation, topology, meters, nobody) }
     }
 
     /// The state now, after this one. What still holds is shared.

@@ -1,15 +1,19 @@
-//! Replays a session and says whether it made the same bits.
+//! Replays a session and says whether it made the same bits; goes on with one that was cut off.
 
 use crate::account::Account;
 use crate::{OpenScene, Simulation, Turn};
 use anyhow::{Context, anyhow, bail, ensure};
 use glisson::mesh::refine::FineRegion;
 use glisson::model::StateHash;
-use glisson::record::session::{Session, SessionEvent, parse_session};
+use glisson::progress::tell;
+use glisson::record::session::{SESSION_VERSION, Session, SessionEvent, parse_session};
 use glisson::scene::Scene;
 use glisson::training::task::{TaskRecord, TaskRun};
 use glisson::world::StepInput;
 use std::path::Path;
+
+/// Steps from one word of how far it is to the next.
+const STEPS_OF_NEWS: u64 = 100;
 
 /// What a replay found.
 pub struct ReplayReport {
@@ -37,11 +41,11 @@ pub fn read_session(path: &Path) -> anyhow::Result<Session> {
 }
 
 /// The simulation of the session's scene, with the mesh of the recording.
-fn open_recorded(session: &Session, folder: &Path) -> anyhow::Result<Simulation> {
+fn open_recorded(session: &Session, folder: &Path, n_threads: usize) -> anyhow::Result<Simulation> {
     let scene = Scene::parse_recorded(&session.header)
         .map_err(|e| anyhow!("the scene in the session's header: {e}"))?;
     let origin = "the session's scene".to_string();
-    let source = OpenScene { scene, folder: folder.to_path_buf(), origin, n_threads: 1 };
+    let source = OpenScene { scene, folder: folder.to_path_buf(), origin, n_threads };
     let mut simulation = Simulation::open(source, None).map_err(|e| {
         let folder = folder.display();
         anyhow!(
@@ -59,28 +63,83 @@ fn open_recorded(session: &Session, folder: &Path) -> anyhow::Result<Simulation>
     Ok(simulation)
 }
 
+/// How a replay compares with the recording.
+#[derive(Default)]
+struct Compared {
+    recorded_hash: Option<StateHash>,
+    first_difference: Option<u64>,
+    checkpoints: u64,
+}
+
 /// Replays `session` with the scene's files in `folder`; `after_step` sees the simulation after every step.
 pub fn replay(
     session: &Session,
     folder: &Path,
-    mut after_step: impl FnMut(&Simulation) -> anyhow::Result<()>,
+    after_step: impl FnMut(&Simulation) -> anyhow::Result<()>,
 ) -> anyhow::Result<ReplayReport> {
-    let mut simulation = open_recorded(session, folder)?;
+    let mut simulation = open_recorded(session, folder, 1)?;
+    let Compared { recorded_hash, first_difference, checkpoints } =
+        follow(session, &mut simulation, after_step)?;
+    Ok(ReplayReport {
+        steps: simulation.world().steps_made(),
+        state_hash: simulation.world().state_hash(),
+        recorded_hash,
+        first_difference,
+        checkpoints,
+        account: Account::of(simulation.world()),
+        task: simulation.task().map(TaskRun::record),
+    })
+}
+
+/// A session that was cut off, live again: replayed to its last moment, where it stands still at first. It is recorded in `record`
+/// from its beginning. Tells how far it is ([`glisson::progress`]).
+///
+/// # Errors
+/// When it was not cut off, or when the replay does not make its bits: then it would go on from somewhere else.
+pub fn resume(
+    session: &Session,
+    folder: &Path,
+    record: &Path,
+    n_threads: usize,
+) -> anyhow::Result<Simulation> {
+    ensure!(session.cut_off, "the session was not cut off: it has an end");
+    ensure!(
+        session.header.version == SESSION_VERSION,
+        "the session has version {} and cannot be gone on with; this program writes version {SESSION_VERSION}. \
+         `glisson replay` replays it",
+        session.header.version
+    );
+    let mut simulation = open_recorded(session, folder, n_threads)?;
+    let n_steps = session.events.last().map_or(0, SessionEvent::step);
+    let compared = follow(session, &mut simulation, |simulation| {
+        let step = simulation.world().steps_made();
+        if step.is_multiple_of(STEPS_OF_NEWS) {
+            tell(step as f64 / n_steps.max(1) as f64);
+        }
+        Ok(())
+    })?;
+    if let Some(step) = compared.first_difference {
+        bail!(
+            "the session cannot be gone on with: replayed by this program it differs from the check-point of step {step} on"
+        );
+    }
+    simulation.go_on(session, folder, record)?;
+    Ok(simulation)
+}
+
+/// Makes all of the session's steps.
+fn follow(
+    session: &Session,
+    simulation: &mut Simulation,
+    mut after_step: impl FnMut(&Simulation) -> anyhow::Result<()>,
+) -> anyhow::Result<Compared> {
     let homes: Vec<_> = simulation.world().tools().iter().map(|tool| tool.home).collect();
     let mut input = StepInput::of(&homes);
-    let mut report = ReplayReport {
-        steps: 0,
-        state_hash: simulation.world().state_hash(),
-        recorded_hash: None,
-        first_difference: None,
-        checkpoints: 0,
-        account: Account::default(),
-        task: None,
-    };
+    let mut compared = Compared::default();
     for event in &session.events {
         while simulation.world().steps_made() < event.step() {
             simulation.advance(&input)?;
-            after_step(&simulation)?;
+            after_step(simulation)?;
         }
         match *event {
             SessionEvent::Input { ref tools, n_substeps, ref placed, ref detected, .. } => {
@@ -112,17 +171,13 @@ pub fn replay(
                 simulation.turn(turn, Some(at_step))?;
             }
             SessionEvent::Checkpoint { step, state_hash } => {
-                report.checkpoints += 1;
+                compared.checkpoints += 1;
                 if simulation.world().state_hash() != state_hash {
-                    report.first_difference.get_or_insert(step);
+                    compared.first_difference.get_or_insert(step);
                 }
             }
-            SessionEvent::End { state_hash, .. } => report.recorded_hash = Some(state_hash),
+            SessionEvent::End { state_hash, .. } => compared.recorded_hash = Some(state_hash),
         }
     }
-    report.steps = simulation.world().steps_made();
-    report.account = Account::of(simulation.world());
-    report.task = simulation.task().map(TaskRun::record);
-    report.state_hash = simulation.world().state_hash();
-    Ok(report)
+    Ok(compared)
 }

@@ -4,6 +4,7 @@
 //! snapshot -> picture (software rasterizer) -> PNG;  numbers -> plot -> SVG
 //! Published (glisson_runtime) -> server: frames, messages -> WebSocket -> page (web/dist, embedded)
 //! page -> commands -> control (one controls, all may watch) -> Simulation
+//! positions -> quantized -> frames of the server and of recordings
 //! TaskRecord (glisson::training) -> report -> HTML
 //! session -> recording -> HTML that plays without a server
 //! image -> patient (its own page) -> scene -> Simulation
@@ -15,6 +16,7 @@
 pub mod plot;
 pub mod picture;
 pub mod report;
+mod quantized;
 pub mod server;
 pub mod recording;
 mod job;

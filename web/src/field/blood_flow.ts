@@ -7,7 +7,7 @@
 import { Vector3 } from "three";
 import type { BleedingEnd } from "../blood";
 import type { Topology } from "../protocol";
-import { nearestOf, nearestOnSurface, placeIn, type OnSurface } from "./on_surface";
+import { nearestOf, nearestOnSurface, placeIn, type OnSurface } from "../on_surface";
 
 export const TICK_S = 0.02;
 /** Density [kg/m3], viscosity [Pa s] of whole blood at 37 degrees, and how thick it runs [m], a choice. */

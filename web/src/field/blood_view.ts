@@ -2,7 +2,7 @@
 import { DynamicDrawUsage, Group, InstancedMesh, Matrix4, SphereGeometry, Vector3 } from "three";
 import { solidMaterial } from "../materials";
 import { dropRadius_m, normalOf, PUDDLE_DEPTH_M, puddleRadius_m, type BloodFlow } from "./blood_flow";
-import { placeIn } from "./on_surface";
+import { placeIn } from "../on_surface";
 
 /** Instances at most: drops and puddles. */
 const MOST = 440;

@@ -4,7 +4,7 @@
  */
 import { Vector3 } from "three";
 import type { Hello, SnapshotHeader } from "../protocol";
-import { nearestOnSurface, placeIn } from "./on_surface";
+import { nearestOnSurface, placeIn } from "../on_surface";
 
 /** Contact for so long chars tissue [s]: a choice. */
 const CHARS_IN_S = 0.35;

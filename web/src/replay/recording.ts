@@ -4,7 +4,7 @@
  */
 import { fail, fieldsOf, numberAt, type Fields } from "../fields";
 import { decodeBinary, decodeText, type Hello, type Snapshot, type Topology } from "../protocol";
-import { Taker } from "./bytes";
+import { Taker } from "../bytes";
 import { expectedPlaces, NO_SURFACE, takeSurface, topologyOf, type Surface } from "./surface";
 import { decodeStory, type Story } from "./story";
 

@@ -1,7 +1,7 @@
 /** The displayed surface in a recording (docs/replay.md): each as what it keeps of one before, in order, and what is new. */
 import { fail } from "../fields";
 import type { Topology } from "../protocol";
-import type { Taker } from "./bytes";
+import type { Taker } from "../bytes";
 
 export interface Surface {
   readonly version: number;

@@ -1,9 +1,9 @@
 /** The lists of what can be started. */
 import { text } from "../language";
 import { clockText } from "../task";
-import type { SceneOffer, TaskOffer } from "./offers";
+import type { SceneOffer, SessionOffer, TaskOffer, Wanted } from "./offers";
 
-export type Begin = (what: "task" | "scene", choice: object) => void;
+export type Begin = (what: Wanted, choice: object) => void;
 
 function element<K extends keyof HTMLElementTagNameMap>(name: K, className = "", words = ""): HTMLElementTagNameMap[K] {
   const node = document.createElement(name);
@@ -76,5 +76,19 @@ export function sceneItem(scene: SceneOffer, begin: Begin): HTMLLIElement {
     words.append(element("span", "problem", text("start_broken", { error: scene.error })));
   }
   item.dataset.scene = scene.file;
+  return item;
+}
+
+/** A session that was cut off: it is gone on with, or no longer offered. */
+export function sessionItem({ session, title, time_s }: SessionOffer, begin: Begin): HTMLLIElement {
+  const item = element("li");
+  const words = element("div", "words");
+  words.append(element("h3", "", title), element("span", "file", session), element("span", "dim", text("start_cut_off_at", { time: clockText(time_s) })));
+  const buttons = element("div", "buttons");
+  const keep = beginning(text("start_set_aside"), text("start_set_aside_what", { what: session }), () => begin("set_aside", { session }));
+  keep.classList.add("second");
+  buttons.append(beginning(text("start_go_on"), text("start_go_on_with", { what: session }), () => begin("session", { session })), keep);
+  item.append(words, buttons);
+  item.dataset.session = session;
   return item;
 }

@@ -3,8 +3,8 @@ import "../style.css";
 import "./start.css";
 import { languageChoice, text, translatePage } from "../language";
 import { fetchServed, openServed, type Making } from "../served";
-import { sceneItem, taskItem } from "./lists";
-import { begin, fetchOffers } from "./offers";
+import { sceneItem, sessionItem, taskItem } from "./lists";
+import { begin, fetchOffers, type Wanted } from "./offers";
 
 /** How often the program is asked, while something is started and else [ms]: another page may start something. */
 const ASK_BUSY_MS = 250;
@@ -64,11 +64,12 @@ async function ask(): Promise<void> {
   timer = window.setTimeout(() => void ask(), isBusy ? ASK_BUSY_MS : ASK_IDLE_MS);
 }
 
-async function choose(what: "task" | "scene" | "patient" | "cancel", choice: object): Promise<void> {
+async function choose(what: Wanted, choice: object): Promise<void> {
   refused = null;
   try {
     await begin(what, choice);
-    isOurs = what !== "cancel";
+    isOurs = what !== "cancel" && what !== "set_aside";
+    if (what === "set_aside") await list();
   } catch (error) {
     refused = error instanceof Error ? error.message : String(error);
   }
@@ -77,8 +78,10 @@ async function choose(what: "task" | "scene" | "patient" | "cancel", choice: obj
 
 async function list(): Promise<void> {
   try {
-    const { tasks, scenes, folders, is_cut } = await fetchOffers();
-    const start = (what: "task" | "scene", choice: object): void => void choose(what, choice);
+    const { tasks, sessions, scenes, folders, is_cut } = await fetchOffers();
+    const start = (what: Wanted, choice: object): void => void choose(what, choice);
+    part("cut-off").hidden = sessions.length === 0;
+    part("sessions").replaceChildren(...sessions.map((session) => sessionItem(session, start)));
     part("tasks").replaceChildren(...tasks.map((task) => taskItem(task, start)));
     part("scenes").replaceChildren(...scenes.map((scene) => sceneItem(scene, start)));
     part("scenes-about").textContent = text("start_scenes_about", { folders: folders.join(", ") });

@@ -22,8 +22,19 @@ export interface SceneOffer {
   readonly error: string | null;
 }
 
+/** A session that was cut off. */
+export interface SessionOffer {
+  readonly session: string;
+  readonly title: string;
+  readonly time_s: number;
+}
+
+/** What the program can be asked for. */
+export type Wanted = "task" | "scene" | "session" | "set_aside" | "patient" | "cancel";
+
 export interface Offers {
   readonly tasks: readonly TaskOffer[];
+  readonly sessions: readonly SessionOffer[];
   readonly scenes: readonly SceneOffer[];
   readonly folders: readonly string[];
   /** There may be more scenes. */
@@ -38,7 +49,7 @@ export async function fetchOffers(): Promise<Offers> {
 }
 
 /** Asks to start something. @throws Error with the program's words where it does not. */
-export async function begin(what: "task" | "scene" | "patient" | "cancel", choice: object): Promise<void> {
+export async function begin(what: Wanted, choice: object): Promise<void> {
   const headers = { "Content-Type": "application/json" };
   const answer = await fetch(`api/start/${what}`, { method: "POST", headers, body: JSON.stringify(choice) });
   if (!answer.ok) throw new Error((await answer.text()).trim());

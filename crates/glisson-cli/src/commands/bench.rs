@@ -26,7 +26,7 @@ pub(crate) struct Args {
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
-    /// Time for each benchmark and size [s]; 1 when left out, 10 for each of the two runs of haptics and for link; the most for each scene of scene, 60 when left out
+    /// Time for each benchmark and size [s]; 1 when left out, 10 for each of the two runs of haptics and for link; 5 for each run of viewers; the most for each scene of scene, 60 when left out
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
     /// Ticks a second of the benchmarks haptics and link [Hz]: 100 to 4000
@@ -42,7 +42,7 @@ pub(crate) struct Args {
     /// Threads of the parallel benchmarks; with more than one, wall time counts instead of CPU time
     #[arg(long, value_name = "N", default_value_t = 1)]
     threads: usize,
-    /// Sizes instead of the benchmark's own, in tetrahedra unless it says otherwise
+    /// Sizes instead of the benchmark's own, in tetrahedra unless it says otherwise; numbers of viewers for viewers
     #[arg(long, value_name = "N,N", value_delimiter = ',')]
     sizes: Option<Vec<usize>>,
     /// One motion of the benchmark scene: rest, push, drag, cut or grasp; all when left out

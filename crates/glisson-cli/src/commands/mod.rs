@@ -19,6 +19,7 @@ mod solve;
 mod fit;
 mod run;
 mod held;
+mod resuming;
 mod serve;
 mod patient;
 mod watch;

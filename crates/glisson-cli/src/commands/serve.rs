@@ -1,6 +1,7 @@
 //! `glisson serve`.
 
 use super::held::DeviceArgs;
+use super::resuming::open_recorded;
 use anyhow::bail;
 use glisson_net::link::Role;
 use glisson_net::options::NetArgs;
@@ -19,6 +20,7 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  glisson serve out/demo/scene.toml\n  \
     glisson serve scene.toml --port 0 --record session.jsonl\n  \
+    glisson serve scene.toml --record session.jsonl --resume session.jsonl.partial    after a crash\n  \
     glisson serve scene.toml --device haply --device simulated@1\n  \
     glisson serve scene.toml --device viewer         the page's mouse, keyboard and gamepad as a device\n  \
     glisson serve scene.toml --device trocar:10.0.0.7:4000,mapping=virtual-work --force-estimate hold\n  \
@@ -31,6 +33,10 @@ pub(crate) struct Args {
     /// Record the session to this file
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+    /// Go on with this session of the scene that was cut off (FILE.partial, or what it is called now): it is replayed to its last moment,
+    /// where it stands still at first, and recorded anew with all that comes
+    #[arg(long, value_name = "FILE", requires = "record")]
+    resume: Option<PathBuf>,
     #[command(flatten)]
     devices: DeviceArgs,
     /// Threads of the explicit model; the results do not depend on it
@@ -129,6 +135,7 @@ impl Address {
         let access = Access::for_address(address.ip(), self.given_token())?;
         let page = server::page_address(address) + &access.address_suffix();
         println!("Glisson is at {page}  (Ctrl-C stops it)");
+        println!("who teaches goes to {}", server::page_address(address) + &access.teacher_suffix());
         match self.opens_browser(access.needs_token(), std::env::var_os("DISPLAY").is_some()) {
             Opening::No => {}
             Opening::NotWithToken => println!(
@@ -213,7 +220,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let source =
         OpenScene { n_threads: args.devices.n_threads(args.threads, core), ..OpenScene::read(&args.scene)? };
     let scene_text = source.scene.text.clone();
-    let simulation = Simulation::open(source, args.record.as_deref())?;
+    let simulation = match (&args.record, &args.resume) {
+        (Some(record), resume) => open_recorded(source, record, resume.as_deref())?,
+        (None, _) => Simulation::open(source, None)?,
+    };
     let held = args.devices.held(simulation.world().tools(), core)?;
     let in_hands: Vec<usize> = held.iter().map(|(_, link)| link.tool).collect();
     let mut network = Network { shows: args.network.shows(&simulation, &in_hands)?, ..Network::default() };

@@ -7,7 +7,11 @@ use super::task;
 use super::task_keeping::{Keeper, KeepingArgs};
 use anyhow::Context;
 use glisson::progress::tell;
+use glisson::scene::Scene;
+use glisson_runtime::cut_off::go_on_with;
 use glisson_runtime::realtime::{CoreKept, OwnCore};
+use glisson_runtime::recorder::{partial_of, remove_partial};
+use glisson_runtime::replay::read_session;
 use glisson_runtime::script::PathScript;
 use glisson_runtime::{OpenScene, Simulation};
 use glisson_view::patient::{self, PatientPage};
@@ -105,6 +109,16 @@ impl Opener {
                 }
                 Ok(simulation)
             }
+            Choice::Resume { session } => {
+                let partial = partial_of(session);
+                let scene = Scene::parse_recorded(&read_session(&partial)?.header)?;
+                let keeper = self.keeper_of(&scene_of_session(session), &scene, session)?;
+                let simulation = go_on_with(&partial, None, session, self.n_threads)?;
+                keeper.iter().for_each(|keeper| keeper.pass_over(&simulation));
+                self.set_keeper(keeper);
+                println!("session: {}, gone on with where it was cut off", session.display());
+                Ok(simulation)
+            }
         }
     }
 
@@ -117,20 +131,27 @@ impl Opener {
         std::fs::create_dir_all(&self.out)
             .with_context(|| format!("{}: cannot make the folder for sessions", self.out.display()))?;
         let (session, folder) = (free_session(&self.out, name), source.folder.clone());
-        let mut unwanted = Unwanted(Some(session.with_extension("jsonl.partial")));
-        let keeper = match &source.scene.task {
-            Some(_) => {
-                self.keeping.keeper(&self.keeping.attempt(name, &source.scene, &session)?, &self.out)?
-            }
-            None => None,
-        };
+        let mut unwanted = Unwanted(Some(session.clone()));
+        let keeper = self.keeper_of(name, &source.scene, &session)?;
         let simulation = Simulation::open(source, Some(&session))?;
         // Where it was cancelled meanwhile, this does not come back.
         tell(1.0);
         unwanted.0 = None;
-        *self.keeper.lock().unwrap_or_else(PoisonError::into_inner) = keeper;
+        self.set_keeper(keeper);
         println!("session: glisson replay {} --folder {}", session.display(), folder.display());
         Ok(simulation)
+    }
+
+    /// Who stores the results of a scene's task, if it has one and they are stored.
+    fn keeper_of(&self, name: &str, scene: &Scene, session: &Path) -> anyhow::Result<Option<Arc<Keeper>>> {
+        if scene.task.is_none() {
+            return Ok(None);
+        }
+        self.keeping.keeper(&self.keeping.attempt(name, scene, session)?, &self.out)
+    }
+
+    fn set_keeper(&self, keeper: Option<Arc<Keeper>>) {
+        *self.keeper.lock().unwrap_or_else(PoisonError::into_inner) = keeper;
     }
 }
 
@@ -139,8 +160,7 @@ struct Unwanted(Option<PathBuf>);
 
 impl Drop for Unwanted {
     fn drop(&mut self) {
-        // Mostly it was not begun yet.
-        self.0.iter().for_each(|partial| drop(std::fs::remove_file(partial)));
+        self.0.iter().for_each(|session| remove_partial(session));
     }
 }
 
@@ -151,11 +171,20 @@ fn session_name(scene: &Path) -> String {
     stem.or_else(|| text(scene.parent()?.file_name())).unwrap_or_else(|| "scene".into())
 }
 
+/// The name that a session was called after: without the number of those that were not the first.
+fn scene_of_session(session: &Path) -> String {
+    let stem = session.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    match stem.rsplit_once('-') {
+        Some((name, number)) if number.parse::<u32>().is_ok() => name.to_owned(),
+        _ => stem,
+    }
+}
+
 /// The first of NAME.jsonl, NAME-2.jsonl, ... that is not there, whole or in part.
 fn free_session(folder: &Path, name: &str) -> PathBuf {
     let numbered = (2..).map(|number| format!("{name}-{number}"));
     let mut names = std::iter::once(name.to_owned()).chain(numbered);
-    let is_free = |path: &PathBuf| !path.exists() && !path.with_extension("jsonl.partial").exists();
+    let is_free = |path: &PathBuf| !path.exists() && !partial_of(path).exists();
     names
         .find_map(|name| Some(folder.join(format!("{name}.jsonl"))).filter(is_free))
         .expect("numbers do not end")
@@ -184,8 +213,12 @@ impl Args {
         error: Option<String>,
     ) -> anyhow::Result<Option<Chosen>> {
         let opener = self.opener(turn);
-        let page =
-            StartPage { folders: folders.to_vec(), open: Box::new(move |choice| opener.open(choice)), error };
+        let page = StartPage {
+            folders: folders.to_vec(),
+            sessions: Some(self.out.clone()),
+            open: Box::new(move |choice| opener.open(choice)),
+            error,
+        };
         start::serve(turn.listener.try_clone()?, turn.access.clone(), page, turn.stop.comes())
     }
 
@@ -292,5 +325,7 @@ mod tests {
         std::fs::write(folder.path().join("demo.jsonl"), "").unwrap();
         std::fs::write(folder.path().join("demo-2.jsonl.partial"), "").unwrap();
         assert_eq!(free(), "demo-3.jsonl");
+        assert_eq!(scene_of_session(&folder.path().join("demo-3.jsonl")), "demo");
+        assert_eq!(scene_of_session(Path::new("grasp-well.jsonl")), "grasp-well");
     }
 }

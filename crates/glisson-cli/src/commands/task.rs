@@ -1,6 +1,7 @@
 //! `glisson task`.
 
 use super::export;
+use super::resuming::{offer, open_recorded};
 use super::serve::Address;
 use super::task_keeping::{Keeper, KeepingArgs, now_text, time_in_names};
 use super::task_text::task_text;
@@ -9,6 +10,7 @@ use anyhow::{Context, bail};
 use glisson::scene::{Choice, Scene, choose};
 use glisson::training::task::{Outcome, TaskRun};
 use glisson_results::Attempt;
+use glisson_runtime::cut_off::CutOff;
 use glisson_runtime::script::PathScript;
 use glisson_runtime::tasks::{TASKS, task_named};
 use glisson_runtime::{OpenScene, Simulation};
@@ -84,6 +86,9 @@ struct Run {
     /// Folder for the session, and without a window the report and its numbers
     #[arg(long, default_value = "out/tasks", value_name = "DIR")]
     out: PathBuf,
+    /// Go on with this session of the task that was cut off: it is replayed to its last moment, and stands still there at first
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["headless", "demonstrate"])]
+    resume: Option<PathBuf>,
     /// Threads of models that can use several; the results do not depend on it
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
     threads: u8,
@@ -245,7 +250,16 @@ fn do_task(args: &Run) -> anyhow::Result<()> {
     let attempt = args.keeping.attempt(&args.name(), &source.scene, &session)?;
     args.keeping.check()?;
     let keeper = args.keeping.keeper(&attempt, &args.out)?;
-    let mut simulation = Simulation::open(source, Some(&session))?;
+    if !args.headless && args.resume.is_none() {
+        let is_of_task = |cut_off: &CutOff| {
+            let name = cut_off.session.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            // The session's own name is offered when it is opened.
+            name.starts_with(&format!("{}_", args.name())) && cut_off.session != session
+        };
+        CutOff::all_in(&args.out).iter().filter(|cut_off| is_of_task(cut_off)).for_each(offer);
+    }
+    let mut simulation = open_recorded(source, &session, args.resume.as_deref())?;
+    keeper.iter().for_each(|keeper| keeper.pass_over(&simulation));
     if let Some(script) = script {
         simulation.follow_script(Box::new(script));
     }

@@ -5,11 +5,12 @@ use crate::text_file::write_text;
 use anyhow::{Context, bail};
 use glisson::scene::Scene;
 use glisson::text::did_you_mean;
-use glisson::training::task::{TaskRecord, TaskResult};
+use glisson::training::task::{TaskRecord, TaskResult, TaskRun};
 use glisson_results::attempt::scene_hash;
 use glisson_results::name::checked_name;
 use glisson_results::utc::utc_text;
 use glisson_results::{Attempt, Comparison, Kept, Store};
+use glisson_runtime::Simulation;
 use glisson_runtime::published::Published;
 use glisson_view::server::{Compare, Show};
 use std::path::{Path, PathBuf};
@@ -83,7 +84,7 @@ impl KeepingArgs {
         }
         let store = self.store()?;
         let (attempt, group, folder) = (attempt.clone(), self.group.clone(), folder.to_path_buf());
-        let state = Mutex::new(State { store, kept: Vec::new() });
+        let state = Mutex::new(State { store, kept: Vec::new(), over_before: Vec::new() });
         Ok(Some(Arc::new(Keeper { attempt, group, folder, state })))
     }
 }
@@ -113,6 +114,8 @@ struct State {
     store: Store,
     /// When the attempts began, by the bits of the simulated time [s], and their numbers, or why they have none.
     kept: Vec<(u64, Result<i64, String>)>,
+    /// When those began that were over before, and are not stored here.
+    over_before: Vec<u64>,
 }
 
 impl Keeper {
@@ -121,8 +124,19 @@ impl Keeper {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Leaves out what was over before a session was cut off that `simulation` goes on with: it was stored then.
+    pub(super) fn pass_over(&self, simulation: &Simulation) {
+        let task = simulation.task().filter(|task| task.outcome().is_some()).map(TaskRun::record);
+        let over = [task.as_ref(), simulation.task_before().map(AsRef::as_ref)];
+        over.into_iter().flatten().for_each(|record| self.pass_over_attempt(record));
+    }
+
+    fn pass_over_attempt(&self, record: &TaskRecord) {
+        self.state().over_before.extend(record.began_s().map(f64::to_bits));
+    }
+
     /// Stores an attempt that ended now, or writes it to a file; its number, or where it is and why. None before an instrument
-    /// moved.
+    /// moved, and of one that was over before.
     fn keep(&self, record: &TaskRecord) -> Option<Result<i64, String>> {
         self.keep_at(record, None)
     }
@@ -135,6 +149,9 @@ impl Keeper {
     ) -> Option<Result<i64, String>> {
         let began = record.began_s()?.to_bits();
         let mut state = self.state();
+        if state.over_before.contains(&began) {
+            return None;
+        }
         if let Some((_, kept)) = state.kept.iter().find(|(known, _)| *known == began) {
             return Some(kept.clone());
         }
@@ -175,7 +192,9 @@ impl Keeper {
 
     /// The attempt beside others.
     pub(super) fn compare(&self, record: &TaskRecord) -> Result<Comparison, String> {
-        let id = self.keep(record).ok_or("no instrument has moved: there is nothing to store")??;
+        let id = self.keep(record).ok_or(
+            "there is nothing to store: no instrument has moved, or it was over before the session was cut off",
+        )??;
         self.state()
             .store
             .compare(id, self.group.as_deref())
@@ -237,9 +256,9 @@ mod tests {
     use glisson::scene::Scene;
     use glisson::tool::ToolInput;
     use glisson_results::Filter;
+    use glisson_runtime::OpenScene;
     use glisson_runtime::live::{self, Command, Shown};
     use glisson_runtime::steering::Steering;
-    use glisson_runtime::{OpenScene, Simulation};
     use std::time::{Duration, Instant};
 
     /// A block that a probe touches.
@@ -296,6 +315,13 @@ mod tests {
         let stored = keeper.state().store.results(&Filter::default()).unwrap();
         let how: Vec<&str> = stored.iter().map(|stored| stored.result.outcome_text()).collect();
         assert_eq!(how, ["passed", "passed", "broken off"]);
+        // Of who goes on with a session, what was over before is stored already.
+        let resuming = args.keeper(&attempt, folder.path()).unwrap().unwrap();
+        let state = Arc::clone(&published.borrow());
+        let before = state.task_before.as_ref().unwrap();
+        resuming.pass_over_attempt(before);
+        assert_eq!(resuming.keep(before), None);
+        assert!(resuming.keep(state.task_record.as_ref().unwrap()).unwrap().is_ok());
         assert_eq!(new_person_text("Ada", &args.store().unwrap()).unwrap(), "");
         let told = new_person_text("Adaa", &args.store().unwrap()).unwrap();
         assert!(told.contains("new person") && told.contains("did you mean \"Ada\"?"), "{told}");

@@ -28,6 +28,10 @@ pub(crate) struct Args {
 /// A server that says nothing for so long is gone: it tells its timing every second.
 const LONGEST_SILENCE: Duration = Duration::from_secs(10);
 
+/// The fifth bytes of frames (`docs/protocol.md`).
+const KIND_TOPOLOGY: u8 = 1;
+const KIND_SNAPSHOT: u8 = 2;
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let request = args
         .address
@@ -46,12 +50,16 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (mut socket, _) = tungstenite::client(request, stream)
         .map_err(|e| anyhow::anyhow!("{host} port {port}: the server refused: {e}"))?;
     let start = Instant::now();
-    let (mut frames, mut bytes, mut timing) = (0_u64, 0_u64, serde_json::Value::Null);
+    let (mut frames, mut bytes, mut bytes_of_frames) = (0_u64, 0_u64, 0_u64);
+    let mut timing = serde_json::Value::Null;
     while args.seconds.is_none_or(|seconds| start.elapsed().as_secs_f64() < seconds) {
         match socket.read() {
             Ok(Message::Binary(frame)) => {
-                frames += 1;
+                let kind = frame.get(4);
                 bytes += frame.len() as u64;
+                frames += u64::from(kind == Some(&KIND_SNAPSHOT));
+                // With what their positions are differences from.
+                bytes_of_frames += if kind == Some(&KIND_TOPOLOGY) { 0 } else { frame.len() as u64 };
             }
             Ok(Message::Text(text)) => {
                 bytes += text.len() as u64;
@@ -72,7 +80,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
     let elapsed_s = start.elapsed().as_secs_f64();
     if args.json {
-        println!("{}", json!({ "frames": frames, "bytes": bytes, "elapsed_s": elapsed_s, "timing": timing }));
+        println!(
+            "{}",
+            json!({ "frames": frames, "bytes": bytes, "bytes_of_frames": bytes_of_frames, "elapsed_s": elapsed_s, "timing": timing })
+        );
     } else {
         let frames_per_s = frames as f64 / elapsed_s;
         println!(

@@ -2,6 +2,7 @@
 //! allowed value, and leaves no half-written file; a wrong command line gets exit code 2.
 
 mod broken;
+mod cut_off;
 mod devices;
 mod export;
 mod images;

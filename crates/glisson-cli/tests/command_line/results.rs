@@ -7,7 +7,7 @@ use super::{command, files, glisson, refuses};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, ChildStdout, Command, Stdio};
 
 const DATABASE: &str = "glisson-results.sqlite";
 const HEADLESS: [&str; 6] = ["task", "run", "own.toml", "--headless", "--out", "made"];
@@ -267,6 +267,8 @@ fn two_programs_store_into_one_database_at_once() {
 /// A task in the browser that its demonstration does, without a browser.
 struct Served {
     child: Child,
+    /// Open as long as the program writes to it.
+    _told: BufReader<ChildStdout>,
     address: String,
 }
 
@@ -280,10 +282,11 @@ impl Served {
             .spawn()
             .unwrap();
         let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let mut told = BufReader::new(child.stdout.take().unwrap());
+        told.read_line(&mut line).unwrap();
         let address =
             line.split("http://").nth(1).and_then(|rest| rest.split('/').next()).expect("an address");
-        Self { child, address: address.to_owned() }
+        Self { child, _told: told, address: address.to_owned() }
     }
 
     fn get(&self, path: &str) -> String {

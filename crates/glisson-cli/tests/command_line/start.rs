@@ -13,7 +13,7 @@ use tungstenite::Message;
 const LONGEST: Duration = Duration::from_secs(120);
 
 /// The running program.
-struct Program {
+pub(super) struct Program {
     child: Child,
     output: BufReader<ChildStdout>,
     address: String,
@@ -21,22 +21,41 @@ struct Program {
 
 impl Program {
     fn start(folder: &Path, arguments: &[&str]) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_glisson"))
-            .args(["start", "--port", "0", "--no-open"])
-            .args(arguments)
-            .current_dir(folder)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut output = BufReader::new(child.stdout.take().unwrap());
-        let mut line = String::new();
-        output.read_line(&mut line).unwrap();
-        let address = line.split("http://").nth(1).unwrap().split('/').next().unwrap().to_owned();
-        Self { child, output, address }
+        let mut command = Command::new(env!("CARGO_BIN_EXE_glisson"));
+        Self::serving(command.arg("start").args(arguments).current_dir(folder)).0
+    }
+
+    /// A command that serves, and what it printed before it said where.
+    pub(super) fn serving(command: &mut Command) -> (Self, String) {
+        let command = command.args(["--port", "0", "--no-open"]).stdout(Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        let output = BufReader::new(child.stdout.take().unwrap());
+        let mut program = Self { child, output, address: String::new() };
+        let mut before = String::new();
+        loop {
+            let mut line = String::new();
+            assert!(program.output.read_line(&mut line).unwrap() > 0, "it ended: {before}");
+            if let Some(address) = line.split("http://").nth(1) {
+                address.split('/').next().unwrap().clone_into(&mut program.address);
+                return (program, before);
+            }
+            before += &line;
+        }
+    }
+
+    /// As a crash ends it.
+    pub(super) fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+
+    /// Where it is served.
+    pub(super) fn address(&self) -> &str {
+        &self.address
     }
 
     /// Status and body; none while nobody answers, between two pages.
-    fn ask(&self, method: &str, path: &str, body: &str) -> Option<(u16, String)> {
+    pub(super) fn ask(&self, method: &str, path: &str, body: &str) -> Option<(u16, String)> {
         let mut stream = TcpStream::connect(&self.address).ok()?;
         stream.set_read_timeout(Some(Duration::from_secs(30))).ok()?;
         write!(
@@ -52,12 +71,12 @@ impl Program {
         Some((head.get(9..12)?.parse().ok()?, body.to_owned()))
     }
 
-    fn begin(&self, what: &str, choice: &Value) -> u16 {
+    pub(super) fn begin(&self, what: &str, choice: &Value) -> u16 {
         self.ask("POST", &format!("/api/start/{what}"), &choice.to_string()).unwrap().0
     }
 
     /// What is served when it is `page`.
-    fn when_at(&self, page: &str) -> Value {
+    pub(super) fn when_at(&self, page: &str) -> Value {
         let begin = Instant::now();
         loop {
             let answer = self.ask("GET", "/api/page", "").filter(|(status, _)| *status == 200);
@@ -71,7 +90,7 @@ impl Program {
     }
 
     /// Ends the simulation as the page in control does.
-    fn leave(&self) {
+    pub(super) fn leave(&self) {
         let (mut socket, _) = tungstenite::connect(format!("ws://{}/ws", self.address)).unwrap();
         let mut next = || match socket.read().unwrap() {
             Message::Text(text) => serde_json::from_str::<Value>(&text).unwrap(),
@@ -89,13 +108,19 @@ impl Program {
     }
 
     /// Ctrl-C; answers what it still printed.
-    fn interrupt(mut self) -> String {
+    pub(super) fn interrupt(self) -> String {
+        let (succeeded, text) = self.interrupted();
+        assert!(succeeded, "{text}");
+        text
+    }
+
+    /// The same, and whether it says that all went well.
+    pub(super) fn interrupted(mut self) -> (bool, String) {
         let pid = self.child.id().to_string();
         assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
         let mut text = String::new();
         self.output.read_to_string(&mut text).unwrap();
-        assert!(self.child.wait().unwrap().success(), "{text}");
-        text
+        (self.child.wait().unwrap().success(), text)
     }
 }
 

@@ -36,6 +36,7 @@ mod haptics;
 pub mod link;
 pub mod peers;
 mod scene;
+mod viewers;
 
 pub use machine::{Machine, MachineBudget};
 pub(crate) use timing::thread_cpu_ns;
@@ -146,7 +147,7 @@ pub struct Trial {
 pub type Tell<'a> = &'a dyn Fn(&str, usize, usize);
 
 /// The benchmarks that are no cases. A new one is a file (and its `mod` above) and its name here.
-pub const TRIALS: &[Trial] = &[haptics::TRIAL, link::TRIAL, scene::TRIAL];
+pub const TRIALS: &[Trial] = &[haptics::TRIAL, link::TRIAL, scene::TRIAL, viewers::TRIAL];
 
 /// What a [`Trial`] may be asked; each says in `docs/bench.md` what it takes.
 #[derive(Clone, Debug)]

@@ -20,9 +20,16 @@ impl Simulation {
         Some(impaired)
     }
 
-    /// After a step: vessels tear, tissue jerks.
+    /// After a step: vessels tear, tissue jerks. In a replay the session brings that about; here it is followed, for who goes on.
     pub(super) fn bring_events_about(&mut self) -> anyhow::Result<()> {
         if !self.is_live {
+            while self.task.as_mut().and_then(|task| task.take_tear()).is_some() {}
+            let acceleration = self.task.as_ref().map(|task| task.effects(&self.world).acceleration_m_per_s2);
+            if acceleration.is_some_and(|jerk_m_per_s2| jerk_m_per_s2 != DVec3::ZERO) {
+                self.steady_gravity_m_per_s2.get_or_insert(self.world.gravity_m_per_s2());
+            } else {
+                self.steady_gravity_m_per_s2 = None;
+            }
             return Ok(());
         }
         while let Some(near_m) = self.task.as_mut().and_then(|task| task.take_tear()) {
@@ -42,7 +49,7 @@ impl Simulation {
 
     /// Tears the vessel nearest to a place at rest.
     pub(crate) fn tear_vessel(&mut self, near_m: DVec3) -> anyhow::Result<()> {
-        self.record(&SessionEvent::TearVessel { step: self.world.steps_made(), near_m })?;
+        self.record(&SessionEvent::TearVessel { step: self.world.steps_made(), near_m });
         self.world.tear_vessel(near_m);
         Ok(())
     }
@@ -53,7 +60,7 @@ impl Simulation {
             let Self { task, world, .. } = &mut *simulation;
             if task.as_mut().is_some_and(|task| task.let_come(number as usize, world)) {
                 let step = simulation.world.steps_made();
-                simulation.record(&SessionEvent::TaskEvent { step, number })?;
+                simulation.record(&SessionEvent::TaskEvent { step, number });
             }
             Ok(())
         })

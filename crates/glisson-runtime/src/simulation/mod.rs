@@ -1,6 +1,7 @@
 //! A world with a clock, a session being recorded, and models that are made in the background.
 
 mod guard;
+mod keeping;
 mod events;
 mod scripted;
 mod turning;
@@ -20,7 +21,7 @@ use glisson::mesh::{TetId, TetMesh};
 use glisson::model::StateHash;
 use glisson::model::kind::ModelKind;
 use glisson::model::{DeformableModel, LevelOfDetail};
-use glisson::record::session::SessionEvent;
+use glisson::record::session::{SessionEvent, SessionHeader};
 use glisson::scene::{BodySet, OrganBody, Scene, build_world, joint_mesh_hash};
 use glisson::tool::MAX_TOOLS;
 use glisson::training::task::{TaskRecord, TaskRun};
@@ -73,6 +74,10 @@ pub struct Simulation {
     hand_of_scene: Option<Hand>,
     turned: Option<turning::Turned>,
     recorder: Option<Recorder>,
+    /// Why the session is not recorded any more.
+    lost_recording: Option<String>,
+    /// It goes on from where a session was cut off.
+    is_resumed: bool,
     builder: Option<JoinHandle<BuiltModel>>,
     incidents: Incidents,
     notices: Notices,
@@ -105,7 +110,10 @@ impl Simulation {
         let task = source.scene.task.as_ref().map(|task| TaskRun::new(task, &world)).transpose();
         let task = task.with_context(|| source.origin.clone())?;
         let recorder = record
-            .map(|path| Recorder::create(path, &source.scene.text, joint_mesh_hash(&bodies)))
+            .map(|path| {
+                let header = SessionHeader::new(source.scene.text.clone(), joint_mesh_hash(&bodies));
+                Recorder::create(path, &source.folder, &header, &[])
+            })
             .transpose()?;
         let bodies = Arc::new(bodies);
         Ok(Self {
@@ -115,6 +123,8 @@ impl Simulation {
             bodies,
             turned: None,
             recorder,
+            lost_recording: None,
+            is_resumed: false,
             builder: None,
             incidents: Incidents::default(),
             notices: Notices::default(),
@@ -176,10 +186,6 @@ impl Simulation {
         &self.bodies
     }
 
-    fn record(&mut self, event: &SessionEvent) -> anyhow::Result<()> {
-        self.recorder.as_mut().map_or(Ok(()), |r| r.write(event))
-    }
-
     /// One step; first waits for a model that takes over at it.
     ///
     /// # Errors
@@ -205,7 +211,7 @@ impl Simulation {
         let (step, n_substeps) = (self.world.steps_made(), input.n_substeps);
         let found = &input.detected[..n_tools];
         let detected = if found.iter().any(Option::is_some) { found.to_vec() } else { Vec::new() };
-        self.record(&SessionEvent::Input { step, tools, n_substeps, placed, detected })?;
+        self.record(&SessionEvent::Input { step, tools, n_substeps, placed, detected });
         let report = self.world.step(input);
         self.cut_with_tools();
         if report.n_non_finite_nodes > 0 {
@@ -227,7 +233,7 @@ impl Simulation {
         }
         if report.step.is_multiple_of(CHECKPOINT_STEPS) && self.recorder.is_some() {
             let state_hash = self.world.state_hash();
-            self.record(&SessionEvent::Checkpoint { step: report.step, state_hash })?;
+            self.record(&SessionEvent::Checkpoint { step: report.step, state_hash });
         }
         self.go_on_with_script()?;
         Ok(report)
@@ -341,7 +347,7 @@ impl Simulation {
     /// Everything back to rest.
     pub(crate) fn reset(&mut self) -> anyhow::Result<()> {
         self.guarded(|simulation| {
-            simulation.record(&SessionEvent::Reset { step: simulation.world.steps_made() })?;
+            simulation.record(&SessionEvent::Reset { step: simulation.world.steps_made() });
             simulation.script = None;
             // The world has its scene's gravity again.
             simulation.steady_gravity_m_per_s2 = None;
@@ -367,7 +373,10 @@ impl Simulation {
 
     /// While an event of the task jerks, from its end on.
     fn set_gravity_or_after_jerk(&mut self, gravity_m_per_s2: DVec3) -> anyhow::Result<()> {
-        if let Some(steady_m_per_s2) = &mut self.steady_gravity_m_per_s2 {
+        // A session holds what came of both.
+        if self.is_live
+            && let Some(steady_m_per_s2) = &mut self.steady_gravity_m_per_s2
+        {
             *steady_m_per_s2 = gravity_m_per_s2;
             return Ok(());
         }
@@ -381,7 +390,7 @@ impl Simulation {
 
     fn set_gravity_now(&mut self, gravity_m_per_s2: DVec3) -> anyhow::Result<()> {
         let step = self.world.steps_made();
-        self.record(&SessionEvent::Gravity { step, gravity_m_per_s2 })?;
+        self.record(&SessionEvent::Gravity { step, gravity_m_per_s2 });
         self.world.set_gravity(gravity_m_per_s2);
         Ok(())
     }
@@ -389,7 +398,7 @@ impl Simulation {
     /// How thoroughly steps are computed from now on; answers whether that makes a difference to the present model.
     pub(crate) fn set_level_of_detail(&mut self, effort: LevelOfDetail) -> anyhow::Result<bool> {
         self.guarded(|simulation| {
-            simulation.record(&SessionEvent::Effort { step: simulation.world.steps_made(), effort })?;
+            simulation.record(&SessionEvent::Effort { step: simulation.world.steps_made(), effort });
             Ok(simulation.world.set_level_of_detail(effort))
         })
     }
@@ -401,7 +410,7 @@ impl Simulation {
     }
 
     fn remove_tetrahedra_now(&mut self, tets: Vec<TetId>) -> anyhow::Result<()> {
-        self.record(&SessionEvent::Remove { step: self.world.steps_made(), tets: tets.clone() })?;
+        self.record(&SessionEvent::Remove { step: self.world.steps_made(), tets: tets.clone() });
         if let Err(refusal) = self.world.remove_and_part(tets) {
             self.tell(format!("nothing was cut: {refusal}"));
         }
@@ -435,7 +444,7 @@ impl Simulation {
 
     fn refine_now(&mut self, region: FineRegion) -> anyhow::Result<()> {
         let FineRegion { center_m, radius_m, edge_m } = region;
-        self.record(&SessionEvent::Refine { step: self.world.steps_made(), center_m, radius_m, edge_m })?;
+        self.record(&SessionEvent::Refine { step: self.world.steps_made(), center_m, radius_m, edge_m });
         match self.world.refine(&region) {
             Ok(0) => self.tell("nothing was made finer: the mesh is fine enough here".to_owned()),
             Ok(_) => {}
@@ -450,7 +459,7 @@ impl Simulation {
     }
 
     fn undo_edit_now(&mut self) -> anyhow::Result<()> {
-        self.record(&SessionEvent::UndoEdit { step: self.world.steps_made() })?;
+        self.record(&SessionEvent::UndoEdit { step: self.world.steps_made() });
         let ordered = self.world.ordered_model();
         if !self.world.undo_edit() {
             self.tell("there is no cut that could be undone".to_owned());
@@ -476,7 +485,7 @@ impl Simulation {
             self.tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
             return Ok(());
         }
-        self.record(&SessionEvent::Clip { step: self.world.steps_made(), tool: tool as u8 })?;
+        self.record(&SessionEvent::Clip { step: self.world.steps_made(), tool: tool as u8 });
         if !self.world.clip_vessel(tool) {
             let reason = match self.world.vessels() {
                 None => "the scene's organ has no vessels",
@@ -509,7 +518,7 @@ impl Simulation {
     fn order_model_now(&mut self, kind: ModelKind, at_step: u64) -> anyhow::Result<()> {
         let step = self.world.steps_made();
         let at_step = at_step.max(step);
-        self.record(&SessionEvent::QueueModelSwap { step, at_step, model: kind })?;
+        self.record(&SessionEvent::QueueModelSwap { step, at_step, model: kind });
         self.make_in_background(kind, at_step);
         Ok(())
     }
@@ -538,10 +547,8 @@ impl Simulation {
             return Err(broken.into());
         }
         let state_hash = self.world.state_hash();
-        self.record(&SessionEvent::End { step: self.world.steps_made(), state_hash })?;
-        if let Some(recorder) = self.recorder {
-            recorder.finish()?;
-        }
+        self.record(&SessionEvent::End { step: self.world.steps_made(), state_hash });
+        self.finish_recording()?;
         Ok(state_hash)
     }
 }

@@ -86,7 +86,7 @@ impl Simulation {
         } else {
             run.is_over = true;
             let (step, state_hash) = (self.world.steps_made(), self.world.state_hash());
-            self.record(&SessionEvent::Checkpoint { step, state_hash })?;
+            self.record(&SessionEvent::Checkpoint { step, state_hash });
             let result = run.script.result(&self.world).unwrap_or_else(|error| format!("{error:#}"));
             self.tell_news(format!("the script is over: {result}; state {state_hash}"));
         }

@@ -109,7 +109,7 @@ impl Simulation {
         if let Some(hand) = self.world.spec().hand
             && parameter.of() == ParameterOf::Hand
         {
-            self.record(&event)?;
+            self.record(&event);
             self.world.set_hand(turned_hand(hand, parameter, value));
             return Ok(());
         }
@@ -117,7 +117,7 @@ impl Simulation {
         if let Err(reason) = turn_in(&mut bodies, &self.bodies_of_scene, (parameter, body), value) {
             return refuse(self, reason);
         }
-        self.record(&event)?;
+        self.record(&event);
         self.turned = Some(Turned { bodies: Arc::new(bodies), at_step });
         let kind = self.world.ordered_model().unwrap_or(self.world.model_kind());
         self.make_in_background(kind, at_step);

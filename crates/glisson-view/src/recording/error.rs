@@ -1,6 +1,7 @@
 //! Why bytes are no recording.
 
 use super::VERSION;
+use crate::quantized::numbers::TakeError;
 
 /// Why bytes are no recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -17,4 +18,13 @@ pub enum RecordingError {
     /// Bytes that nothing writes.
     #[error("it is broken: {0}")]
     Broken(&'static str),
+}
+
+impl From<TakeError> for RecordingError {
+    fn from(error: TakeError) -> Self {
+        match error {
+            TakeError::Ends => Self::Ends,
+            TakeError::TooLarge => Self::Broken("a number has more than 32 bits"),
+        }
+    }
 }

@@ -7,7 +7,6 @@
 //! Positions are whole numbers of a step, as differences from the frame before, then deflated; all else of a frame keeps its bits.
 
 pub mod error;
-mod numbers;
 mod surface;
 pub mod write;
 pub mod read;

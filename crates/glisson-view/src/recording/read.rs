@@ -1,9 +1,10 @@
 //! Reads a recording: the same frames that a server would have sent.
 
 use super::error::RecordingError;
-use super::numbers::Taker;
-use super::surface::{Place, Surface};
+use super::surface::Surface;
 use super::{MAGIC, MOST_UNPACKED, VERSION};
+use crate::quantized::numbers::Taker;
+use crate::quantized::places::Place;
 use crate::server::frames;
 use flate2::read::ZlibDecoder;
 use serde::Deserialize;

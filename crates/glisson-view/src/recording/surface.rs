@@ -1,22 +1,12 @@
 //! The displayed surface in a recording: each as what it keeps of one before, in order, and what is new.
 
 use super::error::RecordingError;
-use super::numbers::{Taker, put, put_signed};
+use crate::quantized::numbers::{Taker, put, put_signed};
+use crate::quantized::places::{Place, place_of};
 use glisson::math::DVec3;
 use glisson::mesh::NodeId;
 use glisson::record::snapshot::DisplayTopology;
 use std::collections::HashMap;
-
-/// A place in whole steps.
-pub(super) type Place = [i32; 3];
-
-/// The nearest place; none for what is no number or too far away.
-pub(super) fn place_of(point_m: DVec3, step_m: f64) -> Option<Place> {
-    let steps = (point_m / step_m).round();
-    // Differences of two, and of such differences, are still numbers of 32 bits.
-    const FURTHEST: f64 = (1 << 28) as f64;
-    (steps.is_finite() && steps.abs().max_element() < FURTHEST).then(|| steps.to_array().map(|x| x as i32))
-}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Vertex {

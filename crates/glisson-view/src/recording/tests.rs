@@ -99,7 +99,7 @@ fn hello(side: u32) -> serde_json::Value {
         })
     };
     json!({
-        "type": "hello", "protocol": 10,
+        "type": "hello", "protocol": 11,
         "scene": {
             "name": "A sheet", "model": "implicit", "material": "liver", "time_step_s": 1.0 / 300.0,
             "gravity_m_per_s2": [0, 0, 0], "n_nodes": topology.nodes.len(), "n_tetrahedra": 0, "n_vessels": 1,

@@ -1,8 +1,9 @@
 //! Makes a recording, frame by frame.
 
-use super::numbers::{put, put_signed};
-use super::surface::{Place, Surface, place_of};
+use super::surface::Surface;
 use super::{ENOUGH_IN_BLOCK, FRAMES_OF_BLOCK, MAGIC, VERSION};
+use crate::quantized::numbers::{put, put_signed};
+use crate::quantized::places::{Place, place_of};
 use crate::server::frames::{self, Pace};
 use crate::server::messages;
 use flate2::Compression;

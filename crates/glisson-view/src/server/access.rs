@@ -4,7 +4,7 @@ use anyhow::{Context, ensure};
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::middleware::Next;
-use axum::response::{IntoResponse, Redirect, Response};
+use axum::response::{AppendHeaders, IntoResponse, Redirect, Response};
 use std::net::IpAddr;
 use std::sync::Arc;
 
@@ -12,12 +12,19 @@ use std::sync::Arc;
 const LEAST_TOKEN: usize = 16;
 const MOST_TOKEN: usize = 128;
 const COOKIE: &str = "glisson_token";
+const TEACHER_COOKIE: &str = "glisson_teacher";
 
 /// Who may connect.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Access {
     token: Option<String>,
+    /// What who teaches knows, beside the token.
+    teacher_key: String,
 }
+
+/// Whether a request comes from who teaches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct IsTeacher(pub(super) bool);
 
 /// Why somebody is turned away.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,7 +57,7 @@ impl Access {
             None if !address.is_loopback() => Some(random_token()?),
             given => given,
         };
-        Ok(Self { token })
+        Ok(Self { token, teacher_key: random_token()? })
     }
 
     /// Whether only who knows a token may connect.
@@ -61,6 +68,18 @@ impl Access {
     /// What has to follow the page's address, `?token=...` or nothing.
     pub fn address_suffix(&self) -> String {
         self.token.as_ref().map_or_else(String::new, |token| format!("?token={token}"))
+    }
+
+    /// The same for who teaches.
+    pub fn teacher_suffix(&self) -> String {
+        let token = self.address_suffix();
+        let sign = if token.is_empty() { '?' } else { '&' };
+        format!("{token}{sign}teacher={}", self.teacher_key)
+    }
+
+    fn is_teacher(&self, headers: &HeaderMap, uri: &Uri) -> bool {
+        let given = of_query(uri, "teacher=").or_else(|| of_cookie(headers, TEACHER_COOKIE));
+        given.is_some_and(|given| is_same(given, &self.teacher_key))
     }
 
     pub(super) fn check(&self, headers: &HeaderMap, uri: &Uri) -> Result<(), Refusal> {
@@ -76,7 +95,7 @@ impl Access {
             return if host.is_none_or(is_loopback_host) { Ok(()) } else { Err(Refusal::Host) };
         };
         let bearer = text(header::AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
-        let given = token_of_query(uri).or(bearer).or_else(|| token_of_cookie(headers));
+        let given = of_query(uri, "token=").or(bearer).or_else(|| of_cookie(headers, COOKIE));
         if given.is_some_and(|given| is_same(given, token)) { Ok(()) } else { Err(Refusal::Token) }
     }
 }
@@ -110,15 +129,15 @@ fn is_loopback_host(host: &str) -> bool {
         || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
 
-fn token_of_query(uri: &Uri) -> Option<&str> {
-    uri.query()?.split('&').find_map(|pair| pair.strip_prefix("token="))
+fn of_query<'a>(uri: &'a Uri, key: &str) -> Option<&'a str> {
+    uri.query()?.split('&').find_map(|pair| pair.strip_prefix(key))
 }
 
-fn token_of_cookie(headers: &HeaderMap) -> Option<&str> {
+fn of_cookie<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
     let cookies = headers.get_all(header::COOKIE).iter().filter_map(|v| v.to_str().ok());
     cookies
         .flat_map(|line| line.split(';'))
-        .find_map(|pair| pair.trim().strip_prefix(COOKIE)?.strip_prefix('='))
+        .find_map(|pair| pair.trim().strip_prefix(name)?.strip_prefix('='))
 }
 
 /// Takes as long for a wrong first sign as for a wrong last one.
@@ -127,9 +146,9 @@ fn is_same(given: &str, token: &str) -> bool {
     given.len() == token.len() && differences == 0
 }
 
-/// Turns away whom [`Access::check`] refuses. A page that was opened with the token gets it as a cookie, which its
-/// further requests carry, and loses it from its address.
-pub(crate) async fn guard(State(access): State<Arc<Access>>, request: Request, next: Next) -> Response {
+/// Turns away whom [`Access::check`] refuses. A page that was opened with the token, or with the key of who
+/// teaches, gets it as a cookie, which its further requests carry, and loses it from its address.
+pub(crate) async fn guard(State(access): State<Arc<Access>>, mut request: Request, next: Next) -> Response {
     if let Err(refusal) = access.check(request.headers(), request.uri()) {
         let (status, text) = match refusal {
             Refusal::Origin => (StatusCode::FORBIDDEN, "only the viewer's own page may connect\n"),
@@ -144,14 +163,20 @@ pub(crate) async fn guard(State(access): State<Arc<Access>>, request: Request, n
         };
         return (status, text).into_response();
     }
-    let is_page = request.uri().path() == "/";
-    match token_of_query(request.uri()).filter(|_| is_page && access.token.is_some()) {
-        Some(token) => {
-            let cookie = format!("{COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/");
-            ([(header::SET_COOKIE, cookie)], Redirect::to("/")).into_response()
-        }
-        None => next.run(request).await,
+    let is_teacher = access.is_teacher(request.headers(), request.uri());
+    request.extensions_mut().insert(IsTeacher(is_teacher));
+    let uri = request.uri();
+    let token = of_query(uri, "token=").filter(|_| access.token.is_some()).map(|token| (COOKIE, token));
+    let key = of_query(uri, "teacher=").filter(|_| is_teacher).map(|key| (TEACHER_COOKIE, key));
+    let cookies = token.into_iter().chain(key);
+    let cookies = cookies.map(|(name, value)| {
+        (header::SET_COOKIE, format!("{name}={value}; HttpOnly; SameSite=Strict; Path=/"))
+    });
+    let cookies: Vec<_> = cookies.filter(|_| uri.path() == "/").collect();
+    if cookies.is_empty() {
+        return next.run(request).await;
     }
+    (AppendHeaders(cookies), Redirect::to("/")).into_response()
 }
 
 #[cfg(test)]
@@ -209,6 +234,25 @@ mod tests {
         }
         let foreign = (header::ORIGIN, "http://elsewhere.example");
         assert_eq!(check(&[foreign], &format!("/ws?token={TOKEN}")), Err(Refusal::Origin));
+    }
+
+    #[test]
+    fn who_teaches_is_known_by_the_key_and_by_nothing_else() {
+        let access = Access::for_address(IpAddr::from([0, 0, 0, 0]), Some(TOKEN.into())).unwrap();
+        let suffix = access.teacher_suffix();
+        let key = suffix.strip_prefix(&format!("?token={TOKEN}&teacher=")).unwrap();
+        assert_eq!(key.len(), 32);
+        assert!(access.is_teacher(&headers(&[]), &uri(&format!("/ws?teacher={key}"))));
+        assert!(
+            access.is_teacher(&headers(&[(header::COOKIE, &format!("glisson_teacher={key}"))]), &uri("/ws"))
+        );
+        for other in ["/ws", "/ws?teacher=", &format!("/ws?teacher={TOKEN}"), &format!("/ws?token={key}")] {
+            assert!(!access.is_teacher(&headers(&[]), &uri(other)), "{other}");
+        }
+        // The key alone lets nobody in.
+        assert_eq!(access.check(&headers(&[]), &uri(&format!("/ws?teacher={key}"))), Err(Refusal::Token));
+        let local = Access::for_address(IpAddr::from([127, 0, 0, 1]), None).unwrap();
+        assert!(local.teacher_suffix().starts_with("?teacher="));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The binary frames of the viewer's protocol (`docs/protocol.md`), little endian.
 
 use super::inside::InsideView;
+use super::positions::{CodedPositions, STEP_M};
 use glisson::math::DVec3;
 use glisson::record::snapshot::{ContactPoints, DisplayTopology, Snapshot, ThreadSnapshot};
 pub use glisson_runtime::pace::Pace;
@@ -8,12 +9,14 @@ pub use glisson_runtime::pace::Pace;
 const MAGIC: u32 = u32::from_le_bytes(*b"GLSN");
 const KIND_TOPOLOGY: u32 = 1;
 const KIND_SNAPSHOT: u32 = 2;
+const KIND_KEY: u32 = 3;
 const FLAG_CONTACT: u32 = 1;
 const FLAG_PAUSED: u32 = 2;
 const FLAG_GRASPS: u32 = 4;
 const FLAG_CONTACT_POINTS: u32 = 8;
 const FLAG_THREADS: u32 = 16;
 const FLAG_INSIDE: u32 = 32;
+const FLAG_CODED: u32 = 64;
 /// Where a SNAPSHOT frame says how many vertices it has.
 pub(crate) const N_VERTICES_AT: usize = 56;
 
@@ -95,12 +98,41 @@ pub fn topology_frame(topology: &DisplayTopology) -> Vec<u8> {
     frame.0
 }
 
-/// A SNAPSHOT frame, for those who look at contact points, or at the inside, with these.
+/// A KEY frame: `places` as [`PositionCoder`](super::positions::PositionCoder) writes them.
+pub(super) fn key_frame(topology_version: u32, number: u32, snapshot: &Snapshot, places: &[u8]) -> Vec<u8> {
+    let mut frame = FrameWriter::new(KIND_KEY, topology_version);
+    frame.u32s(&[number, snapshot.positions_m.len() as u32]);
+    frame.f64s(&[STEP_M]);
+    frame.0.extend(places);
+    frame.0
+}
+
+/// A SNAPSHOT frame with whole positions, for those who look at contact points, or at the inside, with these.
 pub fn snapshot_frame(
     snapshot: &Snapshot,
     pace: &Pace,
     contacts: Option<&ContactPoints>,
     inside: Option<&InsideView>,
+) -> Vec<u8> {
+    frame_with(snapshot, pace, (contacts, inside), None)
+}
+
+/// The same with positions that are differences from a key.
+pub(super) fn coded_snapshot_frame(
+    snapshot: &Snapshot,
+    pace: &Pace,
+    contacts: Option<&ContactPoints>,
+    inside: Option<&InsideView>,
+    positions: &CodedPositions,
+) -> Vec<u8> {
+    frame_with(snapshot, pace, (contacts, inside), Some(positions))
+}
+
+fn frame_with(
+    snapshot: &Snapshot,
+    pace: &Pace,
+    (contacts, inside): (Option<&ContactPoints>, Option<&InsideView>),
+    coded: Option<&CodedPositions>,
 ) -> Vec<u8> {
     let mut frame = FrameWriter::new(KIND_SNAPSHOT, snapshot.topology_version);
     frame.0.extend_from_slice(&snapshot.step.to_le_bytes());
@@ -109,10 +141,12 @@ pub fn snapshot_frame(
     let with_contacts = if contacts.is_some() { FLAG_CONTACT_POINTS } else { 0 };
     let with_threads = if snapshot.threads.is_empty() { 0 } else { FLAG_THREADS };
     let with_inside = if inside.is_some() { FLAG_INSIDE } else { 0 };
+    let with_code = if coded.is_some() { FLAG_CODED } else { 0 };
     let bleeding = &snapshot.bleeding;
     let n_blood = if bleeding.has_vessels { 1 + bleeding.ends.len() as u32 } else { 0 };
     let (n_tools, n_vertices) = (snapshot.tools.len() as u32, snapshot.positions_m.len() as u32);
-    frame.u32s(&[paused | with_contacts | with_threads | with_inside, n_tools, n_vertices, n_blood]);
+    let flags = paused | with_contacts | with_threads | with_inside | with_code;
+    frame.u32s(&[flags, n_tools, n_vertices, n_blood]);
     for tool in &snapshot.tools {
         let pose = &tool.pose;
         frame.f64s(&pose.tip_in_world_m.to_array());
@@ -126,7 +160,14 @@ pub fn snapshot_frame(
         frame.u32s(&[contact | grasps, tool.n_held_nodes]);
         frame.f64s(&tool.shown_further_out_m.to_array());
     }
-    frame.positions(&snapshot.positions_m);
+    match coded {
+        Some(coded) => {
+            frame.u32s(&[coded.key.number, coded.bytes.len() as u32]);
+            frame.0.extend(&coded.bytes);
+            frame.0.resize(frame.0.len().next_multiple_of(4), 0);
+        }
+        None => frame.positions(&snapshot.positions_m),
+    }
     if bleeding.has_vessels {
         let sum = [bleeding.lost_m3, bleeding.rate_m3_per_s, f64::from(bleeding.n_clips), 0.0];
         let ends = bleeding.ends.iter().map(|end| {

@@ -19,17 +19,18 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Sleep, sleep, timeout};
 
 /// Connections at a time: those of all viewers, and as many again that ask for the page and the API. A choice.
-pub(super) const MOST_CONNECTIONS: usize = 64;
+pub(super) const MOST_CONNECTIONS: usize = 128;
 /// One over which nothing comes or goes for so long is closed; a viewer is pinged every second, and answers. A choice.
 const LONGEST_QUIET: Duration = Duration::from_secs(30);
 /// Until the next attempt when the system has no socket left.
 const PAUSE: Duration = Duration::from_millis(100);
 
 const ALL_TAKEN: &[u8] =
-    b"HTTP/1.1 503 Service Unavailable\r\nContent-Type: text/plain\r\nContent-Length: 31\r\n\
-    Retry-After: 1\r\nConnection: close\r\n\r\nall connections are taken (64)\n";
+    b"HTTP/1.1 503 Service Unavailable\r\nContent-Type: text/plain\r\nContent-Length: 32\r\n\
+    Retry-After: 1\r\nConnection: close\r\n\r\nall connections are taken (128)\n";
 
-/// Connections beyond them that are told so at a time, and how long that may take; more are closed without a word.
+/// Connections beyond them that are told so at a time, and how long that may take; more are closed without a word. The same holds
+/// for those that have ended and may still read why.
 const MOST_DISMISSED: usize = 16;
 const DISMISSING: Duration = Duration::from_secs(1);
 
@@ -52,17 +53,21 @@ impl Places {
         tokio::spawn(async move {
             let tell = async {
                 stream.write_all(ALL_TAKEN).await?;
-                stream.shutdown().await?;
-                // What is closed with a question unread is reset, and the answer lost.
-                let mut question = [0; 1 << 10];
-                while stream.read(&mut question).await? > 0 {}
-                io::Result::Ok(())
+                hear_out(&mut stream).await
             };
             // Whether it hears it is its own affair.
             let _ = timeout(DISMISSING, tell).await;
             drop(turn);
         });
     }
+}
+
+/// Says that nothing follows, and reads to the end: what is closed with something unread is reset, and what was said last is lost.
+async fn hear_out(stream: &mut TcpStream) -> io::Result<()> {
+    stream.shutdown().await?;
+    let mut unread = [0; 1 << 10];
+    while stream.read(&mut unread).await? > 0 {}
+    Ok(())
 }
 
 impl Listener for Places {
@@ -76,7 +81,12 @@ impl Listener for Places {
                     Ok(place) => {
                         let quiet = Box::pin(sleep(self.longest_quiet));
                         let longest_quiet = self.longest_quiet;
-                        return (Connection { stream, quiet, longest_quiet, _place: place }, address);
+                        let dismissed = Arc::clone(&self.dismissed);
+                        let stream = Some(stream);
+                        return (
+                            Connection { stream, quiet, longest_quiet, dismissed, _place: place },
+                            address,
+                        );
                     }
                     Err(_) => self.dismiss(stream),
                 },
@@ -100,13 +110,34 @@ fn is_of_client(error: &io::Error) -> bool {
 
 /// One connection; its place is free again when it ends.
 pub(crate) struct Connection {
-    stream: TcpStream,
+    /// Until it is dropped.
+    stream: Option<TcpStream>,
     quiet: Pin<Box<Sleep>>,
     longest_quiet: Duration,
+    dismissed: Arc<Semaphore>,
     _place: OwnedSemaphorePermit,
 }
 
+impl Drop for Connection {
+    fn drop(&mut self) {
+        // Where the server ends, so does this.
+        let Ok(runtime) = tokio::runtime::Handle::try_current() else { return };
+        let Ok(turn) = Arc::clone(&self.dismissed).try_acquire_owned() else { return };
+        if let Some(mut stream) = self.stream.take() {
+            runtime.spawn(async move {
+                // Whether it hears it is its own affair.
+                let _ = timeout(DISMISSING, hear_out(&mut stream)).await;
+                drop(turn);
+            });
+        }
+    }
+}
+
 impl Connection {
+    fn stream(&mut self) -> Pin<&mut TcpStream> {
+        Pin::new(self.stream.as_mut().expect("it is taken when the connection is dropped, not before"))
+    }
+
     /// Something came or went, or it is too long ago that something did.
     fn look<T>(&mut self, context: &mut Context<'_>, polled: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
         if polled.is_ready() {
@@ -123,7 +154,7 @@ impl AsyncRead for Connection {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        let polled = Pin::new(&mut self.stream).poll_read(context, buffer);
+        let polled = self.stream().poll_read(context, buffer);
         self.look(context, polled)
     }
 }
@@ -134,7 +165,7 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
-        let polled = Pin::new(&mut self.stream).poll_write(context, bytes);
+        let polled = self.stream().poll_write(context, bytes);
         self.look(context, polled)
     }
 
@@ -143,20 +174,20 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         parts: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        let polled = Pin::new(&mut self.stream).poll_write_vectored(context, parts);
+        let polled = self.stream().poll_write_vectored(context, parts);
         self.look(context, polled)
     }
 
     fn is_write_vectored(&self) -> bool {
-        self.stream.is_write_vectored()
+        self.stream.as_ref().is_some_and(TcpStream::is_write_vectored)
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_flush(context)
+        self.stream().poll_flush(context)
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_shutdown(context)
+        self.stream().poll_shutdown(context)
     }
 }
 

@@ -1,5 +1,6 @@
 //! The JSON messages of the viewer's protocol.
 
+use super::class::{ClassWish, LONGEST_NAME, MOST_POINTS, Present};
 use super::hands::FeltBy;
 use super::inside::Look;
 use glisson::math::{Aabb, DVec3};
@@ -19,7 +20,7 @@ use glisson_runtime::{Notice, ParameterState, Parameters, Simulation, Turn};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-const PROTOCOL: u32 = 10;
+const PROTOCOL: u32 = 11;
 
 /// The first message on a connection.
 pub(crate) fn hello(simulation: &Simulation) -> Value {
@@ -228,6 +229,16 @@ pub(super) fn parameters(parameters: &Parameters) -> Value {
     })
 }
 
+/// Who watches, and who of them `you` is and controls.
+pub(super) fn class(present: &Present, you: u64, controls: Option<u64>) -> Value {
+    json!({ "type": "class", "you": you, "controls": controls, "people": present.people })
+}
+
+/// What is drawn on the tissue.
+pub(super) fn marks(present: &Present) -> Value {
+    json!({ "type": "marks", "marks": present.marks })
+}
+
 /// Where the loop is that gives forces to hands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum HapticsAt {
@@ -261,7 +272,7 @@ pub(super) fn timing(published: &Published, at: HapticsAt, haptics: Option<&Hapt
 }
 
 /// What a viewer wants.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) enum Wish {
     /// Something of the simulation: for the one who controls.
     Command(Command),
@@ -275,6 +286,8 @@ pub(super) enum Wish {
     Contacts(bool),
     /// Something inside of the bodies is looked at, or nothing any longer: for everyone.
     Inside(Look),
+    /// Something of those who watch together.
+    Class(ClassWish),
     /// The simulation ends, and the page that it was started from comes again.
     Leave,
 }
@@ -339,6 +352,18 @@ enum ViewerMessage {
         held: bool,
     },
     ReleaseControl {},
+    TakeOver {},
+    GiveBack {},
+    Introduce {
+        name: String,
+    },
+    Point {
+        at_m: Option<[f64; 3]>,
+    },
+    Draw {
+        points_m: Vec<[f64; 3]>,
+    },
+    Erase {},
     Leave {},
     Contacts {
         shown: bool,
@@ -402,6 +427,13 @@ const STRONGEST_GRAVITY_M_PER_S2: f64 = 100.0;
 /// Slower than this nothing seems to move: a choice.
 const SLOWEST: f64 = 0.05;
 
+fn near_enough(key: &str, place_m: &[f64; 3]) -> Result<(), String> {
+    match place_m.iter().find(|x| x.abs() > FURTHEST_TIP_M) {
+        Some(found) => Err(format!("\"{key}\" has {found} m; allowed: up to {FURTHEST_TIP_M} m")),
+        None => Ok(()),
+    }
+}
+
 /// What a viewer asks for, or why it cannot be understood.
 pub(super) fn wish(text: &str) -> Result<Wish, String> {
     let message: ViewerMessage =
@@ -416,6 +448,31 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
             let plane = plane.map(PlaneMessage::plane).transpose()?;
             return Ok(Wish::Inside(Look { field: field.into(), plane, energies }));
         }
+        ViewerMessage::TakeOver {} => return Ok(Wish::Class(ClassWish::TakeOver)),
+        ViewerMessage::GiveBack {} => return Ok(Wish::Class(ClassWish::GiveBack)),
+        ViewerMessage::Erase {} => return Ok(Wish::Class(ClassWish::Erase)),
+        ViewerMessage::Introduce { name } => {
+            let name = name.trim().to_owned();
+            let n = name.chars().count();
+            if n > LONGEST_NAME || name.chars().any(char::is_control) {
+                return Err(format!(
+                    "\"name\" has {n} signs; allowed: up to {LONGEST_NAME} that can be seen"
+                ));
+            }
+            return Ok(Wish::Class(ClassWish::Introduce(name)));
+        }
+        ViewerMessage::Point { at_m } => {
+            at_m.as_slice().iter().try_for_each(|at_m| near_enough("at_m", at_m))?;
+            return Ok(Wish::Class(ClassWish::Point(at_m)));
+        }
+        ViewerMessage::Draw { points_m } => {
+            let n = points_m.len();
+            if !(1..=MOST_POINTS).contains(&n) {
+                return Err(format!("\"points_m\" has {n} points; allowed: 1 to {MOST_POINTS}"));
+            }
+            points_m.iter().try_for_each(|point_m| near_enough("points_m", point_m))?;
+            return Ok(Wish::Class(ClassWish::Draw(points_m)));
+        }
         ViewerMessage::Contacts { shown } => return Ok(Wish::Contacts(shown)),
         ViewerMessage::Tool { tool, tip_m, shaft, roll_rad, jaw, trigger } => {
             let shaft_in_world = DVec3::from_array(shaft)
@@ -425,9 +482,7 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
             if let Some((key, found)) = shares.into_iter().find(|(_, share)| !(0.0..=1.0).contains(share)) {
                 return Err(format!("\"{key}\" is {found}; allowed: between 0 and 1"));
             }
-            if let Some(found) = tip_m.iter().find(|place| place.abs() > FURTHEST_TIP_M) {
-                return Err(format!("\"tip_m\" has {found} m; allowed: up to {FURTHEST_TIP_M} m"));
-            }
+            near_enough("tip_m", &tip_m)?;
             let pose = ToolInput::at(DVec3::from_array(tip_m), shaft_in_world);
             Command::Tool { tool, pose: ToolInput { roll_rad, jaw_opening: jaw, trigger, ..pose } }
         }
@@ -550,6 +605,12 @@ mod tests {
         assert_eq!(command(r#"{"type":"task_event","number":1}"#), Ok(Command::TaskEvent { number: 1 }));
         assert_eq!(wish(r#"{"type":"contacts","shown":true}"#), Ok(Wish::Contacts(true)));
         assert_eq!(wish(r#"{"type":"leave"}"#), Ok(Wish::Leave));
+        assert_eq!(wish(r#"{"type":"take_over"}"#), Ok(Wish::Class(ClassWish::TakeOver)));
+        let named = wish(r#"{"type":"introduce","name":" Ada "}"#);
+        assert_eq!(named, Ok(Wish::Class(ClassWish::Introduce("Ada".into()))));
+        let drawn = wish(r#"{"type":"draw","points_m":[[0,0,0.1],[0,1,0]]}"#);
+        assert_eq!(drawn, Ok(Wish::Class(ClassWish::Draw(vec![[0.0, 0.0, 0.1], [0.0, 1.0, 0.0]]))));
+        assert_eq!(wish(r#"{"type":"point","at_m":null}"#), Ok(Wish::Class(ClassWish::Point(None))));
         assert_eq!(command(r#"{"type":"speed","factor":0.25}"#), Ok(Command::Speed(0.25)));
         let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
         assert_eq!(tilted, Ok(Command::Gravity(DVec3::new(0.0, 9.81, 0.0))));
@@ -564,6 +625,11 @@ mod tests {
             r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,1],"jaw":2}"#,
             r#"{"type":"model","name":"jelly"}"#,
             r#"{"type":"contacts"}"#,
+            r#"{"type":"draw","points_m":[]}"#,
+            r#"{"type":"draw","points_m":[[0,0,1000]]}"#,
+            r#"{"type":"point","at_m":[0,1e999,0]}"#,
+            r#"{"type":"introduce","name":"a\u0007"}"#,
+            r#"{"type":"introduce","name":"aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa"}"#,
             r#"{"type":"speed","factor":0}"#,
             r#"{"type":"speed","factor":2}"#,
             r#"{"type":"leave","now":true}"#,

@@ -5,7 +5,11 @@ mod allowance;
 mod hands;
 pub mod inside;
 pub(crate) mod limits;
+pub mod positions;
 pub mod frames;
+mod shared_frames;
+mod flow;
+mod class;
 pub(crate) mod messages;
 mod socket;
 
@@ -18,6 +22,7 @@ use axum::http::{StatusCode, header};
 use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use class::Class;
 use glisson::training::task::TaskRecord;
 use glisson_results::Comparison;
 use glisson_runtime::Simulation;
@@ -31,6 +36,7 @@ pub use glisson_runtime::steering::{Show, Steering};
 use hands::Hands;
 use limits::Places;
 use messages::HapticsAt;
+use shared_frames::SharedFrames;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
@@ -48,9 +54,11 @@ into this program. Run <code>cargo xtask demo</code>, which builds it.";
 
 struct Shared {
     hello: serde_json::Value,
+    frames: SharedFrames,
     published: watch::Receiver<Arc<Published>>,
     commands: Sender<Command>,
     control: Arc<Control>,
+    class: Class,
     /// Of the haptic loop, if one runs.
     meters: Option<Arc<Meters>>,
     haptics_at: HapticsAt,
@@ -184,9 +192,11 @@ pub fn serve(
         .spawn(move || live::run(simulation, &commands_out, shown, links, stalls.as_ref()))?;
     let shared = Arc::new(Shared {
         hello,
+        frames: SharedFrames::default(),
         published,
         commands: commands.clone(),
         control,
+        class: Class::default(),
         meters: haptics.as_ref().map(|haptics| Arc::clone(haptics.meters())),
         haptics_at,
         remote_figures,

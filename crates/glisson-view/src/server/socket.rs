@@ -1,10 +1,13 @@
 //! One viewer's WebSocket.
 
 use super::Shared;
+use super::access::IsTeacher;
 use super::allowance::Allowance;
-use super::frames::{snapshot_frame, topology_frame};
+use super::class::Present;
+use super::flow::Flow;
 use super::inside::{InsideView, Looker};
 use super::messages::{self, Wish};
+use axum::Extension;
 use axum::extract::State;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code};
 use axum::http::StatusCode;
@@ -38,10 +41,12 @@ const FEEL: Duration = Duration::from_millis(33);
 struct Seat {
     shared: Arc<Shared>,
     viewer: Viewer,
+    is_teacher: bool,
 }
 
 impl Drop for Seat {
     fn drop(&mut self) {
+        self.shared.class.leave(self.viewer);
         self.shared.control.leave(self.viewer);
     }
 }
@@ -53,11 +58,16 @@ fn unhurried(period: Duration) -> Interval {
     beat
 }
 
-pub(super) async fn open(State(shared): State<Arc<Shared>>, upgrade: WebSocketUpgrade) -> Response {
+pub(super) async fn open(
+    State(shared): State<Arc<Shared>>,
+    Extension(IsTeacher(is_teacher)): Extension<IsTeacher>,
+    upgrade: WebSocketUpgrade,
+) -> Response {
     let Some(viewer) = shared.control.enter() else {
         return (StatusCode::SERVICE_UNAVAILABLE, "all places for viewers are taken\n").into_response();
     };
-    let seat = Seat { shared, viewer };
+    shared.class.enter(viewer, is_teacher);
+    let seat = Seat { shared, viewer, is_teacher };
     upgrade.max_message_size(LONGEST_MESSAGE_BYTES).max_frame_size(LONGEST_MESSAGE_BYTES).on_upgrade(
         move |socket| async move {
             let now = Instant::now();
@@ -66,6 +76,7 @@ pub(super) async fn open(State(shared): State<Arc<Shared>>, upgrade: WebSocketUp
                 socket,
                 seat,
                 allowance,
+                flow: Flow::default(),
                 last_heard: now,
                 told: None,
                 contacts: None,
@@ -92,6 +103,7 @@ struct Connection {
     socket: WebSocket,
     seat: Seat,
     allowance: Allowance,
+    flow: Flow,
     last_heard: Instant,
     /// When it was told that it only watches.
     told: Option<Instant>,
@@ -106,6 +118,8 @@ struct Told {
     model: ModelKind,
     /// Of the topology.
     version: u32,
+    /// Number of the key that it has.
+    key: Option<u32>,
     n_notices: usize,
     task: Option<TaskStatus>,
     parameters: Option<Arc<Parameters>>,
@@ -126,11 +140,11 @@ impl Connection {
     /// What a viewer needs before the first snapshot, and again when another model took over.
     async fn greet(&mut self, published: &Published) -> Result<(), End> {
         self.say(messages::hello_with_model(&self.seat.shared.hello, published.model)).await?;
-        self.send(Message::Binary(topology_frame(&published.topology).into())).await
+        self.send(Message::Binary(self.seat.shared.frames.topology(published))).await
     }
 
     /// Sends what is new since `told`: notices, another model or topology, and the snapshot.
-    async fn show(&mut self, latest: &Published, told: &mut Told) -> Result<(), End> {
+    async fn show(&mut self, latest: &Arc<Published>, told: &mut Told) -> Result<(), End> {
         for notice in latest.notices_after(told.n_notices) {
             self.say(messages::notice(notice)).await?;
         }
@@ -147,13 +161,18 @@ impl Connection {
             told.model = latest.model;
             self.greet(latest).await?;
         } else if latest.topology.version != told.version {
-            self.send(Message::Binary(topology_frame(&latest.topology).into())).await?;
+            self.send(Message::Binary(self.seat.shared.frames.topology(latest))).await?;
         }
         told.version = latest.topology.version;
-        let contacts = latest.contact_points.as_ref().filter(|_| self.contacts.is_some());
         let inside = self.inside.as_ref().and_then(|looker| InsideView::of(&looker.look, latest));
-        let frame = snapshot_frame(&latest.snapshot, &latest.pace, contacts, inside.as_ref());
-        self.send(Message::Binary(frame.into())).await
+        let frames = self.seat.shared.frames.snapshot(latest, self.contacts.is_some(), inside.as_ref());
+        if let Some(key) = frames.key.filter(|key| told.key != Some(key.number)) {
+            told.key = Some(key.number);
+            self.send(Message::Binary(key.frame)).await?;
+        }
+        let ping = self.flow.send(Instant::now());
+        self.send(Message::Binary(frames.snapshot)).await?;
+        self.send(Message::Ping(ping.to_vec().into())).await
     }
 
     async fn say_timing(&mut self, published: &watch::Receiver<Arc<Published>>) -> Result<(), End> {
@@ -164,14 +183,23 @@ impl Connection {
         self.say(messages::timing(&latest, shared.haptics_at, haptics.as_ref())).await
     }
 
+    async fn say_class(&mut self, present: &Present) -> Result<(), End> {
+        let controls = self.seat.shared.control.watch().borrow().controller.map(|viewer| viewer.number);
+        self.say(messages::class(present, self.seat.viewer.number, controls)).await
+    }
+
     async fn talk(&mut self) -> Result<(), End> {
         let shared = Arc::clone(&self.seat.shared);
         let mut published = shared.published.clone();
         let mut steers = shared.control.watch();
+        let mut class = shared.class.watch();
+        // Whom it knows of; what is drawn only when there is something.
+        let mut known = Present::default();
         let first = Arc::clone(&published.borrow());
         let mut told = Told {
             model: first.model,
             version: first.topology.version,
+            key: None,
             // Who comes after the end is told what happened.
             n_notices: if first.is_broken { 0 } else { first.n_notices },
             task: None,
@@ -180,11 +208,12 @@ impl Connection {
         self.greet(&first).await?;
         published.mark_changed();
         steers.mark_changed();
+        class.mark_changed();
         let (mut beat, mut feel) = (unhurried(BEAT), unhurried(FEEL));
         let mut felt = Vec::new();
         loop {
             tokio::select! {
-                changed = published.changed() => {
+                changed = published.changed(), if self.flow.is_free(Instant::now()) => {
                     if changed.is_err() {
                         return self.say(messages::error("the simulation stopped; see the program's output")).await;
                     }
@@ -195,6 +224,19 @@ impl Connection {
                     if changed.is_ok() {
                         let now = *steers.borrow_and_update();
                         self.say(messages::role(&now, self.seat.viewer)).await?;
+                        self.say_class(&known).await?;
+                    }
+                }
+                changed = class.changed() => {
+                    if changed.is_ok() {
+                        let present = class.borrow_and_update().clone();
+                        if present.people != known.people {
+                            self.say_class(&present).await?;
+                        }
+                        if present.marks != known.marks {
+                            self.say(messages::marks(&present)).await?;
+                        }
+                        known = present;
                     }
                 }
                 _ = beat.tick() => {
@@ -241,6 +283,9 @@ impl Connection {
         if !self.allowance.spend(n_bytes, self.last_heard) {
             return Err(End::Refused("too many messages"));
         }
+        if let Message::Pong(answer) = &message {
+            self.flow.hear(answer);
+        }
         let Message::Text(text) = message else {
             return match message {
                 Message::Binary(_) => Err(End::Refused("viewers send text")),
@@ -261,10 +306,18 @@ impl Connection {
             }
             // Who teaches has no instrument in the hand, and need not be in control.
             Ok(Wish::Command(command @ Command::TaskEvent { .. })) => self.obey(command).await,
+            Ok(Wish::Command(command @ Command::Pause(_))) if self.seat.is_teacher => {
+                self.obey(command).await;
+            }
+            Ok(Wish::Class(wish)) => {
+                if let Err(reason) = shared.class.obey(wish, viewer, control) {
+                    self.say(messages::error(reason)).await?;
+                }
+            }
             Ok(Wish::Leave) if self.seat.shared.leaving.is_none() => {
                 self.say(messages::error("no page started this simulation: Ctrl-C ends the program")).await?;
             }
-            Ok(Wish::Hold { tool, is_held: false }) => control.give_back(viewer, tool),
+            Ok(Wish::Hold { tool, is_held: false }) => control.lay_down(viewer, tool),
             Ok(Wish::Hold { tool, .. }) if control.take(viewer, tool) => {}
             Ok(Wish::Hold { .. }) => self.say(messages::error("this instrument is not offered")).await?,
             Ok(Wish::Offer { tool, is_offered }) if control.offer(viewer, tool, is_offered) => {}

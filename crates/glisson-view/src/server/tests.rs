@@ -1,6 +1,10 @@
 //! The server on real sockets: who gets in, who controls, what is too much.
 
+use super::positions::STEP_M;
+use super::positions::tests::{take_key, take_places};
 use super::*;
+use crate::quantized::numbers::Taker;
+use glisson::math::DVec3;
 use glisson::tool::Tool;
 use glisson_runtime::OpenScene;
 use glisson_runtime::devices::open_standing;
@@ -136,16 +140,34 @@ impl Viewer {
         }
     }
 
+    /// The next SNAPSHOT frame; `key` becomes the last KEY frame that came.
+    fn snapshot_with_key(&mut self, key: &mut Vec<u8>) -> Vec<u8> {
+        loop {
+            match self.0.read().unwrap() {
+                Message::Binary(frame) if frame[4] == 2 => return frame.to_vec(),
+                Message::Binary(frame) if frame[4] == 3 => *key = frame.to_vec(),
+                _ => {}
+            }
+        }
+    }
+
     fn role(&mut self) -> String {
         self.hear("role")["role"].as_str().unwrap().to_owned()
     }
 
     /// What the server says when it ends the connection.
     fn end(&mut self) -> String {
+        // Who cannot answer a ping any more may still read: after an error for each frame that was under way.
+        let mut n_unanswered = 0;
         loop {
             match self.0.read() {
                 Ok(Message::Close(frame)) => return frame.map_or(String::new(), |f| f.reason.to_string()),
                 Ok(_) => {}
+                Err(tungstenite::Error::Io(error))
+                    if error.kind() == std::io::ErrorKind::BrokenPipe && n_unanswered < 100 =>
+                {
+                    n_unanswered += 1;
+                }
                 Err(error) => return error.to_string(),
             }
         }
@@ -186,8 +208,10 @@ fn one_viewer_controls_and_the_next_one_follows_when_it_leaves() {
 /// Number of contact points in a snapshot that was sent; none where it has no such part.
 fn contact_points_in(frame: &[u8]) -> Option<u32> {
     let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
-    let [flags, n_tools, n_vertices, n_blood] = [48, 52, 56, 60].map(word);
-    let at = 64 + 152 * n_tools as usize + 12 * n_vertices as usize + 16 * n_blood as usize;
+    let [flags, n_tools, n_blood] = [48, 52, 60].map(word);
+    assert_eq!(flags & 64, 64, "positions are coded");
+    let first = 64 + 152 * n_tools as usize;
+    let at = first + 8 + word(first + 4).next_multiple_of(4) as usize + 16 * n_blood as usize;
     if flags & 8 == 0 {
         assert_eq!(frame.len(), at);
         return None;
@@ -195,6 +219,130 @@ fn contact_points_in(frame: &[u8]) -> Option<u32> {
     let n = word(at + 40);
     assert_eq!(frame.len(), at + 44 + 40 * n as usize);
     Some(n)
+}
+
+/// Positions [m] of a snapshot that was sent, by the last key that was; and its step.
+fn positions_in(frame: &[u8], key: &[u8]) -> (u64, Vec<DVec3>) {
+    let word = |bytes: &[u8], at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+    let first = 64 + 152 * word(frame, 52) as usize;
+    assert_eq!(word(key, 4), 3);
+    assert_eq!([word(frame, first), word(frame, 8)], [word(key, 16), word(key, 8)], "number and topology");
+    let step_m = f64::from_le_bytes(key[24..32].try_into().unwrap());
+    let mut from = Taker(&key[32..]);
+    let places = take_key(&mut from, word(key, 20) as usize).unwrap();
+    assert!(from.0.is_empty());
+    let mut from = Taker(&frame[first + 8..][..word(frame, first + 4) as usize]);
+    let places = take_places(&mut from, &places).unwrap();
+    assert!(from.0.is_empty());
+    let step = u64::from_le_bytes(frame[16..24].try_into().unwrap());
+    (step, places.into_iter().map(|place| DVec3::from_array(place.map(|x| f64::from(x) * step_m))).collect())
+}
+
+#[test]
+fn viewers_that_miss_frames_see_what_the_others_see() {
+    let server = Server::start(None);
+    let mut viewers: Vec<Viewer> = (0..4).map(|_| server.connect()).collect();
+    viewers[0].say(r#"{"type":"gravity","m_per_s2":[0,0,-40]}"#);
+    let mut keys = vec![Vec::new(); viewers.len()];
+    let mut steps = vec![0; viewers.len()];
+    let mut seen = std::collections::HashMap::new();
+    let mut n_compared = 0;
+    let mut n_read = vec![0; viewers.len()];
+    // The first one takes all that comes; each of the others answers less often, and gets less.
+    for round in 0..240 {
+        for (i, viewer) in viewers.iter_mut().enumerate() {
+            if round % (5 * i + 1) > 0 {
+                continue;
+            }
+            let frame = viewer.snapshot_with_key(&mut keys[i]);
+            let (step, positions_m) = positions_in(&frame, &keys[i]);
+            assert!(step >= steps[i], "viewer {i}: step {step} after {}", steps[i]);
+            n_read[i] += u32::from(step > steps[i]);
+            steps[i] = step;
+            let before = seen.entry(step).or_insert_with(|| positions_m.clone());
+            assert_eq!(*before, positions_m, "viewer {i}, step {step}");
+            n_compared += 1;
+        }
+    }
+    assert_eq!(n_compared, 240 + 40 + 22 + 15);
+    // Paused, all see the same state, which is the simulation's.
+    viewers[0].say(r#"{"type":"pause","paused":true}"#);
+    let lasts = viewers.iter_mut().zip(&mut keys).map(|(viewer, key)| {
+        loop {
+            let frame = viewer.snapshot_with_key(key);
+            if frame[48] & 2 != 0 {
+                return positions_in(&frame, key);
+            }
+        }
+    });
+    let lasts: Vec<_> = lasts.collect();
+    let answer = server.http("GET /api/snapshot HTTP/1.1\r\nHost: localhost");
+    let state: serde_json::Value = serde_json::from_str(&answer[answer.find('{').unwrap()..]).unwrap();
+    let exact_m: Vec<DVec3> = serde_json::from_value::<Vec<[f64; 3]>>(state["positions_m"].clone())
+        .unwrap()
+        .into_iter()
+        .map(DVec3::from_array)
+        .collect();
+    for (step, positions_m) in lasts {
+        assert_eq!(step, state["step"].as_u64().unwrap());
+        let off = positions_m.iter().zip(&exact_m).map(|(a, b)| (*a - *b).abs().max_element());
+        assert!(off.fold(0.0, f64::max) <= 0.5 * STEP_M * (1.0 + 1e-9));
+    }
+}
+
+#[test]
+fn who_looks_inside_gets_the_positions_of_all_and_its_own_part_after_them() {
+    let server = Server::start(None);
+    let [mut looker, mut other] = [server.connect(), server.connect()];
+    looker.say(r#"{"type":"pause","paused":true}"#);
+    looker.say(r#"{"type":"inside","field":"strain"}"#);
+    let next = |viewer: &mut Viewer, key: &mut Vec<u8>, flags: u8| {
+        loop {
+            let frame = viewer.snapshot_with_key(key);
+            if frame[48] == flags {
+                break (positions_in(&frame, key), frame);
+            }
+        }
+    };
+    let [mut key, mut key_of_other] = [Vec::new(), Vec::new()];
+    let (seen, with) = next(&mut looker, &mut key, 2 | 32 | 64);
+    let (seen_by_other, _) = next(&mut other, &mut key_of_other, 2 | 64);
+    assert_eq!(seen, seen_by_other);
+    let word = |at: usize| u32::from_le_bytes(with[at..at + 4].try_into().unwrap());
+    let first = 64 + 152 * word(52) as usize;
+    let at = first + 8 + word(first + 4).next_multiple_of(4) as usize + 16 * word(60) as usize;
+    let n = word(56);
+    assert_eq!([0, 4, 8].map(|i| word(at + i)), [1, n, 0], "strain at all vertices, no section");
+    assert_eq!(with.len(), at + 24 + 4 * n as usize);
+    // Who looks no longer gets what all get.
+    looker.say(r#"{"type":"inside"}"#);
+    assert_eq!(next(&mut looker, &mut key, 2 | 64).0, seen);
+}
+
+#[test]
+fn who_answers_no_ping_gets_a_frame_and_no_flood_and_the_others_all() {
+    let server = Server::start(None);
+    let mut deaf = server.connect();
+    let mut key = Vec::new();
+    deaf.snapshot_with_key(&mut key);
+    let mut other = server.connect();
+    // About two seconds of frames, while the first one takes nothing and answers nothing.
+    let mut last = 0;
+    for _ in 0..120 {
+        last = positions_in(&other.snapshot_with_key(&mut key), &key).0;
+    }
+    let mut steps = Vec::new();
+    let mut own_key = Vec::new();
+    // What was under way to it; what it answers by reading makes it current again.
+    loop {
+        let frame = deaf.snapshot_with_key(&mut own_key);
+        let step = u64::from_le_bytes(frame[16..24].try_into().unwrap());
+        steps.push(step);
+        if step > last {
+            break;
+        }
+    }
+    assert!(steps.len() < 60, "{} frames were kept for who took none", steps.len());
 }
 
 #[test]

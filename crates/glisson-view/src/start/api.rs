@@ -19,6 +19,7 @@ use super::making::{Choice, Chosen, Making, OpenChoice, begin};
 use crate::server::access::{self, Access};
 use crate::server::limits::{Asked, Places, guard_api};
 use crate::server::viewer_file;
+use glisson_runtime::recorder::set_aside;
 
 /// Until questions that are being answered are broken off when something was started. A choice.
 const LAST_ANSWERS: Duration = Duration::from_secs(2);
@@ -27,6 +28,8 @@ const LAST_ANSWERS: Duration = Duration::from_secs(2);
 pub struct StartPage {
     /// Folders with scene files.
     pub folders: Vec<PathBuf>,
+    /// Folder with recorded sessions: those that were cut off can be gone on with.
+    pub sessions: Option<PathBuf>,
     /// Makes the simulation of what was chosen.
     pub open: OpenChoice,
     /// What went wrong before, for the page to show.
@@ -36,6 +39,7 @@ pub struct StartPage {
 struct Shared {
     tasks: Vec<TaskLine>,
     folders: Vec<PathBuf>,
+    sessions: Option<PathBuf>,
     making: Arc<Making>,
 }
 
@@ -56,6 +60,13 @@ struct SceneChoice {
     file: String,
 }
 
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SessionChoice {
+    /// As it is listed.
+    session: String,
+}
+
 /// So that what a page of another site can send without asking is no choice: forms have no JSON.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -63,13 +74,14 @@ struct Nothing {}
 
 async fn offers(State(shared): State<Arc<Shared>>) -> Response {
     let for_list = Arc::clone(&shared);
-    let listed = tokio::task::spawn_blocking(move || listing::scenes(&for_list.folders)).await;
+    let list = move || (listing::scenes(&for_list.folders), listing::cut_off(for_list.sessions.as_deref()));
+    let listed = tokio::task::spawn_blocking(list).await;
     // A dot says nothing.
     let whole = |folder: &PathBuf| std::fs::canonicalize(folder).unwrap_or_else(|_| folder.clone());
     let folders: Vec<String> =
         shared.folders.iter().map(|folder| whole(folder).display().to_string()).collect();
     match listed {
-        Ok(list) => Json(json!({ "tasks": shared.tasks, "scenes": list.scenes, "is_cut": list.is_cut, "folders": folders }))
+        Ok((list, sessions)) => Json(json!({ "tasks": shared.tasks, "sessions": sessions, "scenes": list.scenes, "is_cut": list.is_cut, "folders": folders }))
             .into_response(),
         Err(_) => (StatusCode::INTERNAL_SERVER_ERROR, "the scenes could not be listed; see the program's output\n")
             .into_response(),
@@ -104,6 +116,24 @@ async fn start_scene(State(shared): State<Arc<Shared>>, Json(choice): Json<Scene
     begin(&shared.making, line.file, move || Ok(Choice::Scene { path: line.path }))
 }
 
+/// A session that was cut off, by the name that it is listed with: gone on with, or set aside.
+async fn cut_off(shared: Arc<Shared>, choice: SessionChoice, is_wanted: bool) -> Response {
+    let for_list = Arc::clone(&shared);
+    let listed = tokio::task::spawn_blocking(move || listing::cut_off(for_list.sessions.as_deref())).await;
+    let line = listed.unwrap_or_default().into_iter().find(|line| line.session == choice.session);
+    let Some(line) = line else {
+        let words = format!("there is no session \"{}\" that was cut off\n", choice.session);
+        return (StatusCode::NOT_FOUND, words).into_response();
+    };
+    if is_wanted {
+        return begin(&shared.making, line.title, move || Ok(Choice::Resume { session: line.path }));
+    }
+    match set_aside(&line.path) {
+        Ok(_) => StatusCode::ACCEPTED.into_response(),
+        Err(error) => (StatusCode::CONFLICT, format!("{error:#}\n")).into_response(),
+    }
+}
+
 fn router(shared: Arc<Shared>, access: Access) -> Router {
     let cancel = |State(shared): State<Arc<Shared>>, Json(Nothing {}): Json<Nothing>| async move {
         shared.making.cancel();
@@ -112,11 +142,17 @@ fn router(shared: Arc<Shared>, access: Access) -> Router {
     let patient = |State(shared): State<Arc<Shared>>, Json(Nothing {}): Json<Nothing>| async move {
         shared.making.go_to_patient()
     };
+    let go_on =
+        |State(shared): State<Arc<Shared>>, Json(choice): Json<SessionChoice>| cut_off(shared, choice, true);
+    let set_aside =
+        |State(shared): State<Arc<Shared>>, Json(choice): Json<SessionChoice>| cut_off(shared, choice, false);
     let api = Router::new()
         .route("/api/page", get(|State(s): State<Arc<Shared>>| async move { Json(s.making.state()) }))
         .route("/api/start", get(offers))
         .route("/api/start/task", post(start_task))
         .route("/api/start/scene", post(start_scene))
+        .route("/api/start/session", post(go_on))
+        .route("/api/start/set_aside", post(set_aside))
         .route("/api/start/patient", post(patient))
         .route("/api/start/cancel", post(cancel))
         .route_layer(from_fn_with_state(Arc::<Asked>::default(), guard_api));
@@ -136,9 +172,10 @@ pub fn serve(
     page: StartPage,
     stop: impl Future<Output = ()>,
 ) -> anyhow::Result<Option<Chosen>> {
-    let StartPage { folders, open, error } = page;
+    let StartPage { folders, sessions, open, error } = page;
     let making = Arc::new(Making::new(open, error));
-    let shared = Arc::new(Shared { tasks: listing::tasks()?, folders, making: Arc::clone(&making) });
+    let shared =
+        Arc::new(Shared { tasks: listing::tasks()?, folders, sessions, making: Arc::clone(&making) });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let for_pages = Arc::clone(&making);
     let stopped = runtime.block_on(async move {

@@ -2,6 +2,7 @@
 
 use anyhow::Context;
 use glisson::scene::{Scene, TaskSource};
+use glisson_runtime::cut_off::CutOff;
 use glisson_runtime::tasks::TASKS;
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -61,6 +62,28 @@ pub(super) struct SceneList {
     pub(super) scenes: Vec<SceneLine>,
     /// There may be more than were looked for.
     pub(super) is_cut: bool,
+}
+
+/// A session that was cut off.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct SessionLine {
+    /// What the page asks for.
+    pub(super) session: String,
+    /// Of its task or scene.
+    pub(super) title: String,
+    /// Simulated time up to its last moment [s].
+    time_s: f64,
+    #[serde(skip)]
+    pub(super) path: PathBuf,
+}
+
+/// The sessions of a folder that were cut off.
+pub(super) fn cut_off(folder: Option<&Path>) -> Vec<SessionLine> {
+    let line = |CutOff { session, title, time_s }: CutOff| {
+        let name = session.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        SessionLine { session: name, title, time_s, path: session }
+    };
+    folder.map(CutOff::all_in).unwrap_or_default().into_iter().map(line).collect()
 }
 
 /// The tasks that come with the program.

@@ -28,6 +28,11 @@ pub enum Choice {
         /// Where it is.
         path: PathBuf,
     },
+    /// A session that was cut off.
+    Resume {
+        /// What its file would have been called.
+        session: PathBuf,
+    },
 }
 
 /// Makes the simulation of what was chosen.

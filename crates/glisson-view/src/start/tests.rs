@@ -45,6 +45,7 @@ impl Page {
         let made = Mutex::new(made);
         let block = folder.path().join("scenes/block.toml");
         let open = move |choice: &Choice| {
+            tell(0.5);
             told.send(choice.clone())?;
             loop {
                 tell(0.5);
@@ -57,6 +58,7 @@ impl Page {
         };
         let page = StartPage {
             folders: vec![folder.path().join("scenes")],
+            sessions: Some(folder.path().join("sessions")),
             open: Box::new(open),
             error: Some("before".into()),
         };

@@ -389,6 +389,14 @@ impl<W: Write> SessionWriter<W> {
         self.out.write_all(b"\n")
     }
 
+    /// Hands on what was written.
+    ///
+    /// # Errors
+    /// Whatever the output answers.
+    pub fn flush(&mut self) -> io::Result<()> {
+        self.out.flush()
+    }
+
     /// Gives the output back.
     pub fn into_inner(self) -> W {
         self.out

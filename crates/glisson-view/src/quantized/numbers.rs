@@ -1,9 +1,16 @@
 //! Whole numbers in as few bytes as they need: seven bits to a byte, the lowest first (LEB128); signed ones as 0, -1, 1, -2, ...
 
-use super::error::RecordingError;
+/// Why bytes are not what was put there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum TakeError {
+    /// Bytes are missing.
+    Ends,
+    /// A number has more than 32 bits.
+    TooLarge,
+}
 
 /// Appends `x`.
-pub(super) fn put(out: &mut Vec<u8>, mut x: u32) {
+pub(crate) fn put(out: &mut Vec<u8>, mut x: u32) {
     while x >= 0x80 {
         out.push(x as u8 | 0x80);
         x >>= 7;
@@ -12,28 +19,28 @@ pub(super) fn put(out: &mut Vec<u8>, mut x: u32) {
 }
 
 /// Appends `x`, small sizes short.
-pub(super) fn put_signed(out: &mut Vec<u8>, x: i32) {
+pub(crate) fn put_signed(out: &mut Vec<u8>, x: i32) {
     put(out, ((x << 1) ^ (x >> 31)) as u32);
 }
 
 /// Takes from the front of bytes that may be anything.
-pub(super) struct Taker<'a>(pub(super) &'a [u8]);
+pub(crate) struct Taker<'a>(pub(crate) &'a [u8]);
 
 impl<'a> Taker<'a> {
     /// The next `n` bytes.
-    pub(super) fn bytes(&mut self, n: usize) -> Result<&'a [u8], RecordingError> {
-        let (taken, rest) = self.0.split_at_checked(n).ok_or(RecordingError::Ends)?;
+    pub(crate) fn bytes(&mut self, n: usize) -> Result<&'a [u8], TakeError> {
+        let (taken, rest) = self.0.split_at_checked(n).ok_or(TakeError::Ends)?;
         self.0 = rest;
         Ok(taken)
     }
 
     /// The next byte.
-    pub(super) fn byte(&mut self) -> Result<u8, RecordingError> {
+    pub(crate) fn byte(&mut self) -> Result<u8, TakeError> {
         self.bytes(1).map(|bytes| bytes[0])
     }
 
     /// What [`put`] wrote.
-    pub(super) fn number(&mut self) -> Result<u32, RecordingError> {
+    pub(crate) fn number(&mut self) -> Result<u32, TakeError> {
         let mut x = 0;
         for shift in [0, 7, 14, 21, 28] {
             let byte = self.byte()?;
@@ -46,11 +53,11 @@ impl<'a> Taker<'a> {
                 return Ok(x);
             }
         }
-        Err(RecordingError::Broken("a number has more than 32 bits"))
+        Err(TakeError::TooLarge)
     }
 
     /// What [`put_signed`] wrote.
-    pub(super) fn signed(&mut self) -> Result<i32, RecordingError> {
+    pub(crate) fn signed(&mut self) -> Result<i32, TakeError> {
         self.number().map(|x| (x >> 1) as i32 ^ -((x & 1) as i32))
     }
 }

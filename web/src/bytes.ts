@@ -1,5 +1,5 @@
-/** Numbers of a recording (docs/replay.md): seven bits to a byte, the lowest first; signed ones as 0, -1, 1, -2, ... */
-import { fail } from "../fields";
+/** Numbers of recordings (docs/replay.md) and of coded positions (docs/protocol.md): seven bits to a byte, the lowest first; signed ones as 0, -1, 1, -2, ... */
+import { fail } from "./fields";
 
 /** Takes from the front of bytes that may be anything. */
 export class Taker {
@@ -13,13 +13,13 @@ export class Taker {
 
   /** The next `n` bytes. @throws ProtocolError if there are fewer */
   bytes(n: number): Uint8Array {
-    if (n > this.left) fail("the recording ends too early");
+    if (n > this.left) fail("a message or a recording ends too early");
     this.at += n;
     return this.from.subarray(this.at - n, this.at);
   }
 
   byte(): number {
-    if (this.at >= this.from.length) fail("the recording ends too early");
+    if (this.at >= this.from.length) fail("a message or a recording ends too early");
     return this.from[this.at++];
   }
 
@@ -31,7 +31,7 @@ export class Taker {
       x |= (byte & 0x7f) << shift;
       if (byte < 0x80) return x >>> 0;
     }
-    return fail("the recording is broken: a number has more than 32 bits");
+    return fail("a number of a message or a recording has more than 32 bits");
   }
 
   signed(): number {

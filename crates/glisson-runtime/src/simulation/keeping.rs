@@ -1,0 +1,65 @@
+//! The session that is recorded: kept while it happens, lost where it cannot be written, gone on with.
+
+use super::Simulation;
+use crate::recorder::Recorder;
+use anyhow::bail;
+use glisson::record::session::{Session, SessionEvent};
+use std::path::Path;
+
+impl Simulation {
+    pub(super) fn record(&mut self, event: &SessionEvent) {
+        let written = self.recorder.as_mut().map_or(Ok(()), |recorder| recorder.write(event));
+        self.unless_written(written);
+    }
+
+    /// A full disk is no reason to take the instruments out of somebody's hands.
+    fn unless_written(&mut self, written: anyhow::Result<()>) {
+        let (Err(error), Some(recorder)) = (written, &self.recorder) else { return };
+        let (partial, step) = (recorder.partial().display(), self.world.steps_made());
+        let lost = format!(
+            "the session is not recorded any more, from step {step} on: {error:#}; what was written before is in {partial}"
+        );
+        self.recorder = None;
+        self.tell(lost.clone());
+        self.lost_recording = Some(lost);
+    }
+
+    /// From here on a crash of the program loses nothing of what happened before.
+    pub(crate) fn keep_session(&mut self) {
+        let step = self.world.steps_made();
+        if self.recorder.as_ref().is_some_and(|recorder| recorder.last_checkpoint() != Some(step)) {
+            // Says how far it came, also where the hands rest.
+            let state_hash = self.world.state_hash();
+            self.record(&SessionEvent::Checkpoint { step, state_hash });
+        }
+        let written = self.recorder.as_mut().map_or(Ok(()), Recorder::flush);
+        self.unless_written(written);
+    }
+
+    /// Ends the recording, if there is one.
+    pub(super) fn finish_recording(&mut self) -> anyhow::Result<()> {
+        if let Some(lost) = &self.lost_recording {
+            bail!("{lost}");
+        }
+        self.recorder.take().map_or(Ok(()), Recorder::finish)
+    }
+
+    /// After a replay of `session`: it goes on live, and is recorded in a file of its own from the beginning.
+    pub(crate) fn go_on(&mut self, session: &Session, folder: &Path, record: &Path) -> anyhow::Result<()> {
+        self.recorder = Some(Recorder::create(record, folder, &session.header, &session.events)?);
+        self.is_live = true;
+        // Otherwise it was ordered before, and is being made.
+        self.orders_recomputations = self.builder.is_none();
+        self.is_resumed = true;
+        let time_s = self.world.time_s();
+        self.tell_news(format!(
+            "the session goes on from {time_s:.1} s; it stands still until you let time pass"
+        ));
+        Ok(())
+    }
+
+    /// Whether it goes on from where a session was cut off: then it stands still at first.
+    pub(crate) fn is_resumed(&self) -> bool {
+        self.is_resumed
+    }
+}

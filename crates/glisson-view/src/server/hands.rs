@@ -67,7 +67,7 @@ impl Hands {
     /// Who steers now: a hand is one of a page, or of nobody.
     pub(super) fn are_of(&self, steers: &Steers) {
         self.each(|tool, hand| {
-            hand.set_controlled(steers.holder(tool).is_some_and(|viewer| viewer.has_page))
+            hand.set_controlled(steers.holder(tool).is_some_and(|viewer| viewer.has_page));
         });
     }
 

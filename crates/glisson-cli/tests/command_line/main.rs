@@ -7,6 +7,7 @@ mod export;
 mod images;
 mod link;
 mod precompute;
+mod scenes;
 mod start;
 mod results;
 mod tasks;

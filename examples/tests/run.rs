@@ -70,3 +70,14 @@ fn the_device_comes_to_rest_where_hand_coupling_and_tissue_balance() {
     // The loop took its force back.
     assert_eq!(numbers(&text, "motor after")[0], [0.0], "{text}");
 }
+
+#[test]
+fn the_smoothness_of_a_recorded_motion_is_that_of_its_source() {
+    let text = printed_by(env!("CARGO_BIN_EXE_smoothness"));
+    // Balasubramanian et al. 2015.
+    assert_near(numbers(&text, "spectral arc length")[0][0], -1.41403, 5e-6);
+    assert_near(numbers(&text, "log dimensionless jerk")[0][0], -5.81636, 5e-6);
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_smoothness")).args(["no such file", "100"]).output().unwrap();
+    assert!(!output.status.success() && String::from_utf8_lossy(&output.stderr).contains("no such file"));
+}

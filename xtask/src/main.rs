@@ -7,6 +7,7 @@
 mod ct;
 mod igtl;
 mod images;
+mod metrics;
 mod netns;
 mod network;
 mod peers;
@@ -77,6 +78,8 @@ enum Task {
     /// Image and mesh files against SimpleITK, nibabel, pydicom (with its sample files) and meshio, and CGAL's liver from
     /// file to running simulation; it installs them into a folder of its own. `test` does all of it but CGAL's liver
     Images,
+    /// The metrics of smoothness against monalysa, which it installs into a folder of its own; `test` does it, too
+    Metrics,
     /// Fetch the real CT that the tests use into data/ct (nothing of it enters the repository)
     FetchCt,
 }
@@ -202,6 +205,7 @@ fn main() -> anyhow::Result<()> {
             build_program()?;
             images::check(&images::install()?, true)
         }
+        Task::Metrics => metrics::check(&metrics::install()?),
         Task::Peers { sizes, seconds } => peers::measure(&sizes, seconds),
         Task::FetchCt => {
             let folder = ct::fetch()?;

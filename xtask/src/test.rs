@@ -1,7 +1,7 @@
 //! `cargo xtask test`: every check, in the order of how soon it can fail.
 
 use crate::served::Served;
-use crate::{build_program, ct, images, program, root, run, run_in, setup};
+use crate::{build_program, ct, images, metrics, program, root, run, run_in, setup};
 use anyhow::Context;
 use std::ffi::OsStr;
 use std::path::Path;
@@ -95,6 +95,15 @@ pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
         Err(error) => {
             println!("SKIPPED the comparison of image files: {error:#}");
             skipped.push("image files against other programs");
+            Ok(())
+        }
+    })?;
+    stages.run("metrics against another program", || match metrics::install() {
+        Ok(python) => metrics::check(&python),
+        Err(error) if require_ct => Err(error.context("--require-ct was given")),
+        Err(error) => {
+            println!("SKIPPED the comparison of metrics: {error:#}");
+            skipped.push("metrics against another program");
             Ok(())
         }
     })?;

@@ -9,6 +9,7 @@ pub const TASKS: &[(&str, &str)] = &[
     ("pattern_cut", include_str!("../../../tasks/pattern_cut.toml")),
     ("clip_and_cut", include_str!("../../../tasks/clip_and_cut.toml")),
     ("cut_off", include_str!("../../../tasks/cut_off.toml")),
+    ("metastasectomy", include_str!("../../../tasks/metastasectomy.toml")),
 ];
 
 /// The scene of a task, by its name.

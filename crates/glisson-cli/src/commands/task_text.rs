@@ -33,7 +33,7 @@ fn write_result(text: &mut String, result: &TaskResult) -> std::fmt::Result {
     for GateLine { title, found, allowed, unit, is_kept } in &result.gate {
         let ((found, _), (allowed, unit)) = (for_people(*found, unit), for_people(*allowed, unit));
         let sign = if *is_kept { "kept" } else { "BROKEN" };
-        writeln!(text, "  gate           {title} {found:.3} {unit}, at most {allowed:.3}: {sign}")?;
+        writeln!(text, "  gate           {title} {found:.3} {unit}, allowed {allowed:.3}: {sign}")?;
     }
     for MetricLine { title, tool, value, unit, .. } in &result.metrics {
         let (value, unit) = for_people(*value, unit);

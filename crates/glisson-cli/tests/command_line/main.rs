@@ -8,6 +8,7 @@ mod export;
 mod images;
 mod link;
 mod precompute;
+mod scenes;
 mod start;
 mod results;
 mod tasks;

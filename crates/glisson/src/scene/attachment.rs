@@ -1,8 +1,8 @@
 //! `[[attachment]]`: what ties two bodies to each other.
 
 use super::bodies::SceneBody;
-use super::organ::read_region;
 use super::reader::{SceneError, Section};
+use super::region::read_region;
 use crate::contact::response::bond::Bond;
 use crate::math::{DVec3, closest_point_barycentric};
 use crate::mesh::topology::Topology;

@@ -3,14 +3,14 @@
 use super::bodies::BodySource;
 use super::build_error::BuildError;
 use super::build_shape::{FileKind, ShapeBuilder};
-use super::material::{ElasticitySource, MaterialSource, TissuePartSource};
+use super::material::{ElasticitySource, MaterialSource, PartPlace, TissuePartSource};
 use super::organ::OrganSource;
 use super::spec::Scene;
 use crate::contact::shapes::MeshShape;
 use crate::material::LinearElastic;
 use crate::material::tissues::Tissue;
 use crate::math::DVec3;
-use crate::mesh::TetMesh;
+use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::precomputed::{self};
 use crate::model::{BodyPart, BodySet, BodyZone, MeasuredSample, ModelError, OrganBody, TissueParts};
 use crate::solve::equilibrating_stress;
@@ -65,30 +65,60 @@ fn read_elasticity(source: &ElasticitySource, density_kg_per_m3: f64) -> Result<
     })
 }
 
-/// The parts of other tissue; none if the scene has none.
+/// The parts of other tissue; none if the scene has none. A tetrahedron that two parts have is of the first.
 fn tissue_parts(
     sources: &[TissuePartSource],
+    mesh: &TetMesh,
     label_of: &[i64],
     density_kg_per_m3: f64,
-    mesh: &str,
+    name_of_mesh: &str,
 ) -> Result<Option<TissueParts>, BuildError> {
     if sources.is_empty() {
         return Ok(None);
     }
+    let mut of_tet = vec![None; mesh.tetrahedra.len()];
+    for (source, part) in sources.iter().zip(0..) {
+        let tets = match source.place {
+            PartPlace::Label(label) => tets_with_label(label, label_of, name_of_mesh)?,
+            PartPlace::Region(region) => tets_in(region, mesh, part, name_of_mesh)?,
+        };
+        for tet in tets {
+            of_tet[tet].get_or_insert(part);
+        }
+    }
+    let materials = sources.iter().map(|source| read_elasticity(&source.elasticity, density_kg_per_m3));
+    Ok(Some(TissueParts { materials: materials.collect::<Result<_, _>>()?, of_tet }))
+}
+
+fn tets_with_label(label: i64, label_of: &[i64], mesh: &str) -> Result<Vec<usize>, BuildError> {
     if label_of.is_empty() {
         return Err(BuildError::NoLabels { mesh: mesh.to_owned() });
     }
-    let labels: BTreeSet<i64> = label_of.iter().copied().collect();
-    if let Some(missing) = sources.iter().find(|source| !labels.contains(&source.label)) {
+    let tets: Vec<usize> = (0..label_of.len()).filter(|&tet| label_of[tet] == label).collect();
+    if tets.is_empty() {
+        let labels: BTreeSet<i64> = label_of.iter().copied().collect();
         let found = labels.iter().take(MOST_LABELS_NAMED).map(i64::to_string).collect::<Vec<_>>().join(", ");
-        return Err(BuildError::NoSuchLabel { mesh: mesh.to_owned(), label: missing.label, found });
+        return Err(BuildError::NoSuchLabel { mesh: mesh.to_owned(), label, found });
     }
-    let materials = sources.iter().map(|source| read_elasticity(&source.elasticity, density_kg_per_m3));
-    let part_of = |label: &i64| sources.iter().zip(0..).find(|(source, _)| source.label == *label);
-    Ok(Some(TissueParts {
-        materials: materials.collect::<Result<_, _>>()?,
-        of_tet: label_of.iter().map(|label| part_of(label).map(|(_, part)| part)).collect(),
-    }))
+    Ok(tets)
+}
+
+/// Tetrahedra with their middle in the region of part number `part`.
+fn tets_in(region: Region, mesh: &TetMesh, part: u16, name_of_mesh: &str) -> Result<Vec<usize>, BuildError> {
+    let tets = (0..mesh.tetrahedra.len()).map(TetId::from_index);
+    let middles_m: Vec<DVec3> =
+        tets.map(|tet| 0.25 * mesh.corners_m(tet).into_iter().sum::<DVec3>()).collect();
+    let tets: Vec<usize> = nodes_in(&[region], &middles_m).into_iter().map(NodeId::index).collect();
+    if tets.is_empty() {
+        let bounds = crate::math::Aabb::of_points(&mesh.positions_m);
+        return Err(BuildError::EmptyRegion {
+            mesh: name_of_mesh.to_owned(),
+            what: format!("[[organ.part]] number {}", part + 1),
+            min_mm: bounds.min_m * 1e3,
+            max_mm: bounds.max_m * 1e3,
+        });
+    }
+    Ok(tets)
 }
 
 /// So many labels an error lists at most.
@@ -173,7 +203,8 @@ pub(super) fn organ_without_stress(
             max_mm,
         });
     }
-    let parts = tissue_parts(&source.tissue_parts, &label_of, material.density_kg_per_m3(), &name_of_mesh)?;
+    let density_kg_per_m3 = material.density_kg_per_m3();
+    let parts = tissue_parts(&source.tissue_parts, &mesh, &label_of, density_kg_per_m3, &name_of_mesh)?;
     let mut body = OrganBody::new(mesh, material, *time_step_s);
     body.material_text.insert_str(0, &name);
     body.tissue_parts = parts;

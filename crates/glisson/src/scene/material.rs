@@ -1,8 +1,10 @@
 //! What an organ is made of: its tissue, and parts of other tissue in it.
 
 use super::reader::{SceneError, Section};
+use super::region::read_region;
 use crate::model::kind::ModelKind;
 use crate::units::Dimension;
+use crate::world::spec::Region;
 
 /// Where an organ's elasticity comes from.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,11 +36,20 @@ pub enum ElasticitySource {
     },
 }
 
+/// Which tetrahedra are of a part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PartPlace {
+    /// Those with this label in the mesh's file.
+    Label(i64),
+    /// Those with their middle in this region, at rest.
+    Region(Region),
+}
+
 /// A part of an organ that is of other tissue: a tumour, say. Its density is the organ's.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TissuePartSource {
-    /// What the tetrahedra of the part are labelled with in the mesh's file.
-    pub label: i64,
+    /// Which tetrahedra.
+    pub place: PartPlace,
     /// Its elasticity.
     pub elasticity: ElasticitySource,
 }
@@ -132,15 +143,23 @@ pub(super) fn read_tissue_parts(
             let found = format!("of an organ with the model \"{model}\"");
             return Err(part.wrong_table("part", found, format!("organs with one of the models {allowed}")));
         }
-        let (label, at) = part.number("label")?.ok_or_else(|| part.missing("label", "label = 2"))?;
-        let is_known = parts.iter().any(|other| other.label as f64 == label);
-        if label.fract() != 0.0 || label.abs() > MOST_LABEL || is_known {
-            let allowed = "a whole number that the cell field `label` of the mesh has, once";
-            return Err(part.wrong_value(at, "label", label.to_string(), allowed));
-        }
+        let place = match part.number("label")? {
+            Some((label, at)) => {
+                let is_known = parts.iter().any(|other| other.place == PartPlace::Label(label as i64));
+                if label.fract() != 0.0 || label.abs() > MOST_LABEL || is_known {
+                    let allowed = "a whole number that the cell field `label` of the mesh has, once";
+                    return Err(part.wrong_value(at, "label", label.to_string(), allowed));
+                }
+                PartPlace::Label(label as i64)
+            }
+            None if ["box", "ball", "furthest"].iter().any(|key| part.has(key)) => {
+                PartPlace::Region(read_region(&mut part)?)
+            }
+            None => return Err(part.missing("label", "label = 2 (or a region: box, ball)")),
+        };
         let elasticity = read_elasticity(&mut part, false)?;
         part.finish()?;
-        parts.push(TissuePartSource { label: label as i64, elasticity });
+        parts.push(TissuePartSource { place, elasticity });
     }
     Ok(parts)
 }

@@ -10,6 +10,7 @@ mod carving;
 mod contact_constraint;
 mod contact_points;
 mod contact_response;
+mod cut_crossing;
 mod cut_curved;
 mod cut_scalpel;
 mod cut_subdivision;

@@ -163,6 +163,28 @@ fn each_part_has_its_own_stiffness_also_after_edits() {
     }
 }
 
+/// The same tetrahedra, by a region in place of their label: those with their middle in it.
+#[test]
+fn a_part_may_be_a_region() {
+    let folder = tempfile::tempdir().unwrap();
+    write_bar(folder.path(), &bar());
+    let of_tet = |parts: &str| {
+        let text = scene_text("implicit", "10 ms", "\"stable_neo_hooke\"", parts);
+        let scene = Scene::parse(&text).unwrap();
+        let (_, bodies) = build_world(&scene, folder.path(), Arc::new(Sequential)).unwrap();
+        bodies.joint.tissue_parts.unwrap().of_tet
+    };
+    let by_box = "box = { min = [0, 0, \"20 mm\"], max = [\"20 mm\", \"20 mm\", \"40 mm\"] }";
+    let by_box = PART.replace("label = 7", by_box);
+    // From 29 mm on.
+    let by_ball = PART.replace("label = 7", "ball = { center = [0, 0, \"10029 mm\"], radius = \"10 m\" }");
+    assert_eq!(of_tet(&by_box), of_tet(PART));
+    let upper = of_tet(&by_ball).into_iter().flatten().count();
+    assert!(upper > 0 && 2 * upper == of_tet(PART).into_iter().flatten().count());
+    // What two parts have is of the first.
+    assert_eq!(of_tet(&format!("{by_box}{by_ball}")), of_tet(PART));
+}
+
 #[test]
 fn sessions_name_a_mesh_with_its_parts() {
     let folder = tempfile::tempdir().unwrap();
@@ -204,6 +226,10 @@ fn what_has_no_parts_is_refused() {
     refused("implicit", &format!("{PART}density = \"1100 kg/m3\"\n"), &["density"]);
     refused("implicit", "[[organ.part]]\nlabel = 7\ntissue = \"lever\"\n", &["lever", "liver"]);
     refused("implicit", "[[organ.part]]\nlabel = 7\n", &["young_modulus"]);
+    refused("implicit", &PART.replace("label = 7\n", ""), &["label", "box"]);
+    let ball = "ball = { center = [0, 0, 0], radius = \"1 mm\" }";
+    refused("implicit", &PART.replace("label = 7", ball), &["[[organ.part]] number 1"]);
+    refused("implicit", &PART.replace("label = 7", &format!("label = 7\n{ball}")), &["ball", "label"]);
     let tears = scene_text("implicit", "1 ms", "\"stable_neo_hooke\"\ntearing = true", PART);
     let message = Scene::parse(&tears).unwrap_err().to_string();
     assert!(message.contains("part") && message.contains("tears"), "{message}");

@@ -62,6 +62,8 @@ pub(super) struct Section {
     /// Area [m2] of the faces beyond the polygon, or more than they have when flat, and of what they leave out; what
     /// reaches back to the front of the stroke so far is not counted.
     pub(super) strayed_m2: f64,
+    /// Whether it lies at an angle to the cut so far.
+    pub(super) turns: bool,
 }
 
 fn sign(x: f64) -> i8 {
@@ -93,9 +95,10 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
             (faces, is_settled) = work.faces_of_plane();
         }
     }
-    let mut inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f)).collect();
+    let turns = work.turns();
+    let mut inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f, turns)).collect();
     let is_nested = work.patch.all_stay;
-    if is_nested {
+    if is_nested && turns {
         work.join_to_front(&mut inside);
     }
     let n_snapped = work.n_snapped;
@@ -115,7 +118,7 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
     patch.cut.extend(inside);
     patch.cut.sort_unstable();
     patch.cut.dedup();
-    Section { swept_area_m2, n_touched, n_snapped, strayed_m2 }
+    Section { swept_area_m2, n_touched, n_snapped, strayed_m2, turns }
 }
 
 /// Adds the nodes on the rim of `faces` that are at line `k`.
@@ -569,6 +572,9 @@ impl Work<'_> {
     fn turns(&mut self) -> bool {
         let normal = self.sweep.normal;
         let front = self.front();
+        if front.is_empty() {
+            return false;
+        }
         let tets = self.stars(&front);
         // Of no sides at all the sum is zero, which is along nothing.
         let mut sum_m2 = DVec3::ZERO;
@@ -597,9 +603,6 @@ impl Work<'_> {
         let Some(start) = (0..self.sweep.n_lines()).find(|&k| self.sweep.side(k) == Side::Start) else {
             return;
         };
-        if !self.patch.nodes.iter().any(|n| n.is_front) || !self.turns() {
-            return;
-        }
         let gaps = self.gaps(start, inside);
         if gaps.is_empty() {
             return;
@@ -699,9 +702,15 @@ impl Work<'_> {
         around.chunk_by(|m, n| m == n).any(|same| same.len() == 1)
     }
 
-    /// Whether a face of the plane belongs to the polygon.
-    fn is_inside(&mut self, face: [u32; 3]) -> bool {
+    /// Whether a face of the plane belongs to the polygon. Where the stroke goes straight on, one with an edge on the front lies ahead
+    /// of the cut so far, also where the front is not straight and the line through its ends is beyond; where it turns, `join_to_front`
+    /// finds what leads there.
+    fn is_inside(&mut self, face: [u32; 3], turns: bool) -> bool {
+        let n_at_front = face.iter().filter(|&&n| self.patch.nodes[n as usize].is_front).count();
         (0..self.sweep.n_lines()).all(|k| {
+            if !turns && n_at_front > 1 && self.sweep.side(k) == Side::Start {
+                return true;
+            }
             let sides = face.map(|n| self.line_label(k, n));
             let (n_in, n_out) =
                 (sides.iter().filter(|s| s.0 > 0).count(), sides.iter().filter(|s| s.0 < 0).count());

@@ -6,7 +6,7 @@ use glisson::training::smoothness::{log_dimensionless_jerk, sparc};
 use std::error::Error;
 
 fn bell() -> Vec<f64> {
-    (-100..100).map(|i| f64::from(i) / 100.0).map(|t_s| libm::exp(-5.0 * t_s * t_s)).collect()
+    (-100..100).map(|i| f64::from(i) / 100.0).map(|t_s| (-5.0 * t_s * t_s).exp()).collect()
 }
 
 /// One number a line.

@@ -281,12 +281,13 @@ impl Served {
             .stderr(Stdio::null())
             .spawn()
             .unwrap();
-        let mut line = String::new();
         let mut told = BufReader::new(child.stdout.take().unwrap());
-        told.read_line(&mut line).unwrap();
-        let address =
-            line.split("http://").nth(1).and_then(|rest| rest.split('/').next()).expect("an address");
-        Self { child, _told: told, address: address.to_owned() }
+        // The database says who is new in it first.
+        let address = told.by_ref().lines().map_while(Result::ok).find_map(|line| {
+            let rest = line.split("http://").nth(1)?;
+            Some(rest.split('/').next()?.to_owned())
+        });
+        Self { child, _told: told, address: address.expect("an address") }
     }
 
     fn get(&self, path: &str) -> String {

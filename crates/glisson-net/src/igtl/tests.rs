@@ -37,6 +37,9 @@ pub(crate) fn published(step: u64) -> Arc<Published> {
             tools: vec![tool],
         },
         contact_points: None,
+        inside: None,
+        inside_watchers: Arc::default(),
+        parameters: Arc::default(),
         contact_watchers: Arc::default(),
         topology: Arc::new(DisplayTopology {
             body_of: Vec::new(),

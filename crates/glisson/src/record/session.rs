@@ -484,24 +484,24 @@ mod tests {
         let (events, text) = sample();
         let session = parse_session(&text[..text.len() - 30]).unwrap();
         assert!(session.cut_off);
-        assert_eq!(session.events, events[..8]);
+        assert_eq!(session.events, events[..9]);
     }
 
     #[test]
     fn mistakes_are_named_with_their_line() {
         let (_, text) = sample();
         let with = |from: &str, to: &str| parse_session(&text.replace(from, to)).unwrap_err().to_string();
-        assert!(with("\"step\":10", "\"step\":3").starts_with("line 4: step 3 comes after step 5"));
+        assert!(with("\"step\":10", "\"step\":3").starts_with("line 5: step 3 comes after step 5"));
         assert!(with("\"version\":5", "\"version\":1").contains("version 1, recorded by Glisson"));
         assert!(
             with("\"placed\":[1]", "\"placed\":[2]").starts_with("line 2: placed names instrument 2 of 2")
         );
         assert!(with("glisson-session", "other").contains("\"other\""));
         assert!(with("n_substeps\":1", "n_substeps\":0").starts_with("line 2"));
-        assert!(with("reset", "explode").starts_with("line 5"));
+        assert!(with("reset", "explode").starts_with("line 6"));
         assert!(
             with("\"clip\",\"step\":12,\"tool\":1", "\"clip\",\"step\":12,\"tool\":9")
-                .starts_with("line 7: instrument 9")
+                .starts_with("line 8: instrument 9")
         );
     }
 

@@ -237,10 +237,11 @@ fn tasks(chromium: &Path) -> anyhow::Result<()> {
     browser_test("test:tasks", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
 }
 
-/// The page that one begins with: to a task, to a new patient, and back; and what a laboratory has beside the picture.
+/// The page that one begins with: to a task, to a new patient, and back; what a laboratory has beside the picture; and a class.
 fn start(chromium: &Path) -> anyhow::Result<()> {
     browser_test("test:start", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())?;
-    browser_test("test:laboratory", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
+    browser_test("test:laboratory", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())?;
+    browser_test("test:class", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
 }
 
 /// What axe-core finds on every page.

@@ -2,6 +2,8 @@
 //! spectral arc length and log dimensionless jerk, by which tasks are assessed, too. Without arguments the example of
 //! Balasubramanian et al. 2015 (doi 10.1186/s12984-015-0090-9): exp(-5 t^2), t = -1 to 0.99 s at 100 Hz.
 
+#![allow(clippy::print_stdout, reason = "an example shows its figures on standard output")]
+
 use glisson::training::smoothness::{log_dimensionless_jerk, sparc};
 use std::error::Error;
 

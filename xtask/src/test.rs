@@ -89,24 +89,22 @@ pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
             "full_size",
         ])
     })?;
-    stages.run("image files against other programs", || match images::install() {
-        Ok(python) => images::check(&python, false),
-        Err(error) if require_ct => Err(error.context("--require-ct was given")),
-        Err(error) => {
-            println!("SKIPPED the comparison of image files: {error:#}");
-            skipped.push("image files against other programs");
-            Ok(())
-        }
-    })?;
-    stages.run("metrics against another program", || match metrics::install() {
-        Ok(python) => metrics::check(&python),
-        Err(error) if require_ct => Err(error.context("--require-ct was given")),
-        Err(error) => {
-            println!("SKIPPED the comparison of metrics: {error:#}");
-            skipped.push("metrics against another program");
-            Ok(())
-        }
-    })?;
+    // With programs that are fetched: without a network there is nothing to compare with.
+    let comparisons: [(&str, Install, Compare); 2] = [
+        ("image files against other programs", images::install, |python| images::check(python, false)),
+        ("metrics against another program", metrics::install, metrics::check),
+    ];
+    for (name, install, compare) in comparisons {
+        stages.run(name, || match install() {
+            Ok(python) => compare(&python),
+            Err(error) if require_ct => Err(error.context("--require-ct was given")),
+            Err(error) => {
+                println!("SKIPPED {name}: {error:#}");
+                skipped.push(name);
+                Ok(())
+            }
+        })?;
+    }
     stages.run("demo without a window", || {
         run(&program().to_string_lossy(), &["demo", "--headless", "--out", "out/test/demo"])
     })?;
@@ -125,6 +123,12 @@ fn viewer() -> anyhow::Result<()> {
     }
     Ok(())
 }
+
+/// Installs what to compare with; answers with the Python that has it.
+type Install = fn() -> anyhow::Result<String>;
+
+/// Compares, with that Python.
+type Compare = fn(&str) -> anyhow::Result<()>;
 
 /// Through nextest where it is installed, else through cargo's own runner.
 fn tests(arguments: &[&str]) -> anyhow::Result<()> {

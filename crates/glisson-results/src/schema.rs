@@ -2,7 +2,7 @@
 
 use crate::error::StoreError;
 use crate::settings::{APPLICATION_ID, SCHEMA_VERSION};
-use rusqlite::{Connection, TransactionBehavior};
+use rusqlite::{Connection, Transaction, TransactionBehavior};
 use std::path::Path;
 
 /// Numbers of results are never given twice (AUTOINCREMENT), so that who deletes one does not mean another. A person's results
@@ -55,8 +55,9 @@ struct Found {
     n_tables: i64,
 }
 
-fn look(connection: &Connection) -> rusqlite::Result<Found> {
-    let number = |sql| connection.query_row(sql, [], |row| row.get(0));
+/// Within a transaction: three readings on their own could see the file before and after somebody else makes the tables.
+fn look(transaction: &Transaction<'_>) -> rusqlite::Result<Found> {
+    let number = |sql| transaction.query_row(sql, [], |row| row.get(0));
     Ok(Found {
         application: number("PRAGMA application_id")?,
         version: number("PRAGMA user_version")?,
@@ -78,7 +79,8 @@ pub(crate) fn prepare(connection: &mut Connection, file: &Path) -> Result<(), St
             _ => Err(StoreError::Foreign { file, found: "a database of another program" }),
         }
     };
-    if is_ready(&look(connection).map_err(failed)?)? {
+    let found = look(&connection.transaction().map_err(failed)?).map_err(failed)?;
+    if is_ready(&found)? {
         return Ok(());
     }
     // Two programs may find it empty at once: who comes second finds the tables.

@@ -150,7 +150,7 @@ impl Store {
         Ok(written)
     }
 
-    /// Stores an attempt, once: the same of the same person and time is found again.
+    /// Stores an attempt, once: the same of the same person, time and session is found again.
     ///
     /// # Errors
     /// [`StoreError::Kept`] where a field is wrong; otherwise what the file does not allow. Nothing is stored then.
@@ -332,9 +332,9 @@ fn insert(
     transaction.execute("INSERT INTO person (name) VALUES (?1) ON CONFLICT DO NOTHING", [person])?;
     let person: i64 =
         transaction.query_row("SELECT id FROM person WHERE name = ?1", [person], |row| row.get(0))?;
-    let same =
-        "SELECT id FROM result WHERE person = ?1 AND scene_hash = ?2 AND finished_at = ?3 AND result = ?4";
-    let found = transaction.query_row(same, params![person, scene_hash, finished_at, text], |row| row.get(0));
+    let same = "SELECT id FROM result WHERE person = ?1 AND scene_hash = ?2 AND finished_at = ?3 AND session IS ?4 AND result = ?5";
+    let same_as = params![person, scene_hash, finished_at, session, text];
+    let found = transaction.query_row(same, same_as, |row| row.get(0));
     if let Some(id) = found.optional()? {
         return Ok(Added::There(id));
     }

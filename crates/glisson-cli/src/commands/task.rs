@@ -177,10 +177,12 @@ impl Run {
         Path::new(&self.task).file_stem().map_or("task".into(), |stem| stem.to_string_lossy()).into_owned()
     }
 
-    /// Where this run writes. A person's runs have names of their own: later ones leave them as they are.
+    /// Where this run writes. A person's runs have names of their own: later ones leave them as they are, and so do those that
+    /// begin in the same millisecond.
     fn files(&self) -> Files {
-        let time = self.keeping.person.as_ref().map(|_| format!("_{}", time_in_names(&now_text())));
-        Files { folder: self.out.clone(), stem: self.name() + &time.unwrap_or_default() }
+        let own = || format!("_{}_{}", time_in_names(&now_text()), std::process::id());
+        let own = self.keeping.person.as_ref().map(|_| own());
+        Files { folder: self.out.clone(), stem: self.name() + &own.unwrap_or_default() }
     }
 }
 

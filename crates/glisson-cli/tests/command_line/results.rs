@@ -254,13 +254,16 @@ fn two_programs_store_into_one_database_at_once() {
     let at = folder.path();
     let start = |person| {
         command(at, &[&HEADLESS[..], &["--person", person]].concat())
-            .stderr(Stdio::null())
+            .stderr(Stdio::piped())
             .stdout(Stdio::null())
             .spawn()
             .unwrap()
     };
-    let mut running: Vec<Child> = ["Ada", "Ben", "Ada", "Ben"].into_iter().map(start).collect();
-    assert!(running.iter_mut().all(|child| child.wait().unwrap().success()));
+    let running: Vec<Child> = ["Ada", "Ben", "Ada", "Ben"].into_iter().map(start).collect();
+    for child in running {
+        let output = child.wait_with_output().unwrap();
+        assert!(output.status.success(), "{}", text_of(&output.stderr));
+    }
     assert_eq!(results(at, &["people"]), "Ada: 2 results\nBen: 2 results\n");
 }
 

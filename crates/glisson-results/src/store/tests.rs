@@ -77,6 +77,12 @@ fn a_result_comes_back_as_it_was_stored_and_is_stored_once() {
     assert_eq!(store.add(&first).unwrap(), Added::New(1));
     assert_eq!(store.add(&kept("Ada", 1, 20.0)).unwrap(), Added::New(2));
     assert_eq!(store.add(&first).unwrap(), Added::There(1));
+    // Two attempts may end in the same millisecond; each has its session.
+    let mut other = first.clone();
+    other.attempt.session = Some("other.jsonl".into());
+    assert_eq!(store.add(&other).unwrap(), Added::New(3));
+    assert_eq!(store.add(&other).unwrap(), Added::There(3));
+    assert!(store.delete(3).is_ok());
     drop(store);
     let store = Store::open_existing(&folder.path().join("r.sqlite")).unwrap();
     let found = store.results(&Filter::default()).unwrap();

@@ -142,6 +142,7 @@ export class FakeSimulator {
           bleeding: null,
           contactPoints: this.watchers.has(client) ? organ.contactPoints() : null,
           threads: [],
+    strands_m: new Float32Array(),
           inside: null,
           tools: [
             {

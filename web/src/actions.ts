@@ -58,5 +58,6 @@ export const ACTIONS = [
   "tool_2",
   "tool_3",
   "tool_4",
+  "tool_5",
 ] as const;
 export type Action = (typeof ACTIONS)[number];

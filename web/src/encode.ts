@@ -6,6 +6,7 @@ import {
   FLAG_CONTACT_POINTS,
   FLAG_GRASP,
   FLAG_PAUSED,
+  FLAG_STRANDS,
   FLAG_THREADS,
   KIND_SNAPSHOT,
   KIND_TOPOLOGY,
@@ -16,6 +17,7 @@ import {
   type Snapshot,
   type Topology,
 } from "./protocol";
+import { encodeStrands } from "./strands";
 import { encodeThreads } from "./threads";
 
 export function encodeTopology(topology: Omit<Topology, "kind">): ArrayBuffer {
@@ -45,13 +47,14 @@ export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
   const bloodRecords = bloodNumbers(header.bleeding);
   const contacts = encodeContactPoints(header.contactPoints);
   const threads = encodeThreads(header.threads);
-  const buffer = new ArrayBuffer(blood + 4 * bloodRecords.length + contacts.length + threads.length);
+  const strands = encodeStrands(header.strands_m);
+  const buffer = new ArrayBuffer(blood + 4 * bloodRecords.length + contacts.length + threads.length + strands.length);
   const view = new DataView(buffer);
   [MAGIC, KIND_SNAPSHOT, header.version, header.organ].forEach((word, i) => view.setUint32(4 * i, word, true));
   view.setBigUint64(16, BigInt(header.step), true);
   const scalars = [header.time_s, header.rate_steps_per_s, header.realTimeFactor];
   scalars.forEach((x, i) => view.setFloat64(24 + 8 * i, x, true));
-  const flags = (header.paused ? FLAG_PAUSED : 0) | (header.contactPoints === null ? 0 : FLAG_CONTACT_POINTS) | (header.threads.length === 0 ? 0 : FLAG_THREADS);
+  const flags = (header.paused ? FLAG_PAUSED : 0) | (header.contactPoints === null ? 0 : FLAG_CONTACT_POINTS) | (header.threads.length === 0 ? 0 : FLAG_THREADS) | (strands.length === 0 ? 0 : FLAG_STRANDS);
   const words = [flags, header.tools.length, positions_m.length / 3, (4 * bloodRecords.length) / BLOOD_BYTES];
   words.forEach((word, i) => view.setUint32(48 + 4 * i, word, true));
   header.tools.forEach((tool, n) => {
@@ -67,5 +70,6 @@ export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
   bloodRecords.forEach((x, i) => view.setFloat32(blood + 4 * i, x, true));
   new Uint8Array(buffer).set(contacts, blood + 4 * bloodRecords.length);
   new Uint8Array(buffer).set(threads, blood + 4 * bloodRecords.length + contacts.length);
+  new Uint8Array(buffer).set(strands, buffer.byteLength - strands.length);
   return buffer;
 }

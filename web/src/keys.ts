@@ -89,6 +89,7 @@ export const BINDINGS: readonly Binding[] = [
   own("instrument", "tool_2", "2", plain("2")),
   own("instrument", "tool_3", "3", plain("3")),
   own("instrument", "tool_4", "4", plain("4")),
+  own("instrument", "tool_5", "5", plain("5")),
   own("class", "take_over", "Shift B", [{ key: "b", shift: true }]),
   own("class", "draw", "Shift W", [{ key: "w", shift: true }]),
   own("class", "mark_tip", "Shift Y", [{ key: "y", shift: true }]),
@@ -151,7 +152,7 @@ export function actionIn<A extends string>(press: KeyPress, bindings: ReadonlyAr
 }
 
 /** Take an instrument, in the order of their numbers. */
-export const TOOL_ACTIONS = ["tool_1", "tool_2", "tool_3", "tool_4"] as const;
+export const TOOL_ACTIONS = ["tool_1", "tool_2", "tool_3", "tool_4", "tool_5"] as const;
 
 /** Number of the instrument that a key takes, from 0; null for other actions. */
 export function toolNumber(action: string): number | null {

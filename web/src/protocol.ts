@@ -1,5 +1,5 @@
 /**
- * The wire protocol of docs/protocol.md, version 11: decoding of every message, encoding of the viewer's.
+ * The wire protocol of docs/protocol.md, version 12: decoding of every message, encoding of the viewer's.
  *
  * Decoders check every length and index against the bytes really there before anything is allocated,
  * and throw nothing but {@link ProtocolError}. Units: metres, seconds, newtons; frame: LPS.
@@ -14,13 +14,14 @@ import { decodeClass, decodeMarks, type ClassNews, type MarksNews } from "./clas
 import { codedBytes, decodeCoded, decodeKey, type Key } from "./coded_positions";
 import { decodeInside, insideBytes, type FieldKind, type InsideSnapshot } from "./inside/snapshot";
 import type { CutPlane } from "./inside/plane";
+import { decodeStrands, strandsBytes } from "./strands";
 import { decodeThreads, threadsBytes, type Thread } from "./threads";
 import { decodeFeel, type Feel } from "./feel";
 import { decodeRole, decodeTiming, type Role, type Timing } from "./timing";
 import { MOST_TOOLS, toolsAt, type JawsInfo, type OpticsInfo, type ToolInfo } from "./tool_info";
 import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Fields, type Vec3 } from "./fields";
 
-export const PROTOCOL_VERSION = 11;
+export const PROTOCOL_VERSION = 12;
 /** Bytes `GLSN` read as a little-endian u32. */
 export const MAGIC = 0x4e534c47;
 export const KIND_TOPOLOGY = 1;
@@ -33,6 +34,7 @@ export const FLAG_CONTACT_POINTS = 8;
 export const FLAG_THREADS = 16;
 export const FLAG_INSIDE = 32;
 export const FLAG_CODED = 64;
+export const FLAG_STRANDS = 128;
 
 export const TOPOLOGY_HEADER_BYTES = 24;
 export const SNAPSHOT_HEADER_BYTES = 64;
@@ -124,6 +126,8 @@ export interface SnapshotHeader {
   /** Null unless the viewer asked for them. */
   readonly contactPoints: ContactPoints | null;
   readonly threads: readonly Thread[];
+  /** Both ends of each strand of attachments between bodies, three numbers each. */
+  readonly strands_m: Float32Array;
   /** Null unless the viewer looks at it. */
   readonly inside: InsideSnapshot | null;
 }
@@ -327,9 +331,11 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView, held: Key | null): 
   const hasThreads = (flags & FLAG_THREADS) !== 0;
   const inside = threads + (hasThreads ? threadsBytes(view, threads) : 0);
   const hasInside = (flags & FLAG_INSIDE) !== 0;
+  const strands = inside + (hasInside ? insideBytes(view, inside) : 0);
+  const hasStrands = (flags & FLAG_STRANDS) !== 0;
   checkLength(
     buffer.byteLength,
-    inside + (hasInside ? insideBytes(view, inside) : 0),
+    strands + (hasStrands ? strandsBytes(view, strands) : 0),
     `snapshot with ${nVertices} vertices and ${nBlood} records of blood`,
   );
   const step = view.getBigUint64(16, true);
@@ -377,6 +383,7 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView, held: Key | null): 
       contactPoints: hasContacts ? decodeContactPoints(view, contacts) : null,
       threads: hasThreads ? decodeThreads(view, threads) : [],
       inside: hasInside ? decodeInside(view, inside, nVertices) : null,
+      strands_m: hasStrands ? decodeStrands(view, strands) : new Float32Array(),
     },
     positions_m,
   };

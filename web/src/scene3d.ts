@@ -235,6 +235,7 @@ export class Scene3d {
     });
     this.bleeding.show(header.bleeding?.ends ?? []);
     this.threads.show(header.threads);
+    this.threads.strands.show(header.strands_m);
     this.shadeByTool();
   }
 

@@ -135,6 +135,7 @@ export const PAGES_EN = {
   replay_key_tool_2: "of the second",
   replay_key_tool_3: "of the third",
   replay_key_tool_4: "of the fourth",
+  replay_key_tool_5: "of the fifth",
   replay_key_screenshot: "save the picture as PNG",
   replay_key_help: "this page",
   replay_key_leave: "close this page",

@@ -137,6 +137,7 @@ export const PAGES_FR: Readonly<Record<keyof typeof PAGES_EN, string>> = {
   replay_key_tool_2: "du deuxième",
   replay_key_tool_3: "du troisième",
   replay_key_tool_4: "du quatrième",
+  replay_key_tool_5: "du cinquième",
   replay_key_screenshot: "enregistrer l'image en PNG",
   replay_key_help: "cette page",
   replay_key_leave: "fermer cette page",

@@ -62,7 +62,7 @@ export const TOOLS_EN = {
   devices_foot: "While this page is open gamepads and pedals move nothing. What is chosen is kept for each device.",
   devices_close: "Close (Esc)",
   devices_no_pad: "No gamepad: press one of its buttons, so that the browser shows it.",
-  devices_in_hand: "the one in the hand (keys 1 to 4)",
+  devices_in_hand: "the one in the hand (keys 1 to 5)",
   devices_not_there: "not in this scene",
   devices_nothing: "nothing",
   devices_moves: "Moves",

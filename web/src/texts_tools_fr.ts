@@ -64,7 +64,7 @@ export const TOOLS_FR: Readonly<Record<keyof typeof TOOLS_EN, string>> = {
   devices_foot: "Tant que cette page est ouverte, manettes et pédales ne déplacent rien. Ce qui est choisi est gardé pour chaque appareil.",
   devices_close: "Fermer (Échap)",
   devices_no_pad: "Aucune manette : appuyez sur un de ses boutons pour que le navigateur la montre.",
-  devices_in_hand: "celui en main (touches 1 à 4)",
+  devices_in_hand: "celui en main (touches 1 à 5)",
   devices_not_there: "pas dans cette scène",
   devices_nothing: "rien",
   devices_moves: "Déplace",

@@ -2,7 +2,7 @@
 import { fail, fieldsOf, numberAt, stringAt, vec3At, type Fields, type Vec3 } from "./fields";
 
 /** Instruments of a scene at most. */
-export const MOST_TOOLS = 4;
+export const MOST_TOOLS = 5;
 
 export interface JawsInfo {
   readonly length_m: number;

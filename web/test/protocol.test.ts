@@ -41,6 +41,7 @@ const SNAPSHOT: Snapshot = {
     },
     contactPoints: null,
     threads: [],
+    strands_m: new Float32Array(),
     inside: null,
     tools: [
       {
@@ -87,9 +88,14 @@ const WITH_THREADS: Snapshot = {
   },
 };
 
+const WITH_STRANDS: Snapshot = {
+  ...WITH_THREADS,
+  header: { ...WITH_THREADS.header, strands_m: Float32Array.of(1, 2, 3, 0.5, 0.25, 0, -1, 0, 0, 4, 5, 6) },
+};
+
 const HELLO: Hello = {
   type: "hello",
-  protocol: 11,
+  protocol: 12,
   scene: {
     name: "liver",
     model: "pre-computed",
@@ -242,11 +248,19 @@ describe("binary frames", () => {
     expect(() => decodeBinary(buffer)).toThrow(/needle of 9|bytes/);
   });
 
+  it("snapshot: strands come back, after the threads", () => {
+    const buffer = encodeSnapshot(WITH_STRANDS);
+    expect(buffer.byteLength).toBe(encodeSnapshot(WITH_THREADS).byteLength + 4 + 2 * 24);
+    expect(decodeBinary(buffer)).toEqual(WITH_STRANDS);
+    new DataView(buffer).setFloat32(buffer.byteLength - 4, Number.NaN, true);
+    expect(() => decodeBinary(buffer)).toThrow(/strand .* not finite/);
+  });
+
   it("any mutation and any truncation gives a message or a ProtocolError, nothing else", () => {
     const next = random(2463534242);
     let refused = 0;
     for (let round = 0; round < 20_000; round++) {
-      const snapshot = round % 4 === 1 ? SNAPSHOT : WITH_THREADS;
+      const snapshot = round % 4 === 1 ? SNAPSHOT : WITH_STRANDS;
       const whole = new Uint8Array(round % 2 === 0 ? encodeTopology(TOPOLOGY) : encodeSnapshot(snapshot));
       const bytes = next() < 0.5 ? whole : whole.slice(0, Math.floor(next() * (whole.length + 1)));
       for (let k = Math.floor(next() * 6); k >= 0 && bytes.length > 0; k--) {
@@ -261,7 +275,7 @@ describe("binary frames", () => {
           const points = decoded.header.contactPoints?.points ?? [];
           const numbers = points.flatMap((p) => [...p.place_m, ...p.normal, ...p.force_n]);
           const places = decoded.header.threads.flatMap((thread) => [...thread.nodes_m, ...thread.clips_m].flat());
-          expect([...decoded.positions_m, ...numbers, ...places].every((x) => Number.isFinite(x))).toBe(true);
+          expect([...decoded.positions_m, ...decoded.header.strands_m, ...numbers, ...places].every((x) => Number.isFinite(x))).toBe(true);
         }
       } catch (error) {
         if (!(error instanceof ProtocolError)) throw error;
@@ -284,7 +298,7 @@ describe("text messages", () => {
   });
 
   it("another protocol version is refused, with both numbers", () => {
-    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 11/);
+    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 12/);
   });
 
   it.each(["", "null", "[]", "7", '"hello"', "{", '{"type":"hello"}', '{"type":7}', '{"type":"goodbye"}'])(

@@ -112,6 +112,19 @@ pub fn closest_point_barycentric(p: DVec3, [a, b, c]: [DVec3; 3]) -> [f64; 3] {
     [1.0 - v - w, v, w]
 }
 
+/// Distance of two segments (Ericson, Real-Time Collision Detection, 2005, s. 5.1.9).
+pub fn segment_distance([p0, p1]: [DVec3; 2], [q0, q1]: [DVec3; 2]) -> f64 {
+    let (u, v, w) = (p1 - p0, q1 - q0, p0 - q0);
+    let (a, b, c, d, e) = (u.dot(u), u.dot(v), v.dot(v), u.dot(w), v.dot(w));
+    let share = |over: f64, under: f64| if under > 0.0 { (over / under).clamp(0.0, 1.0) } else { 0.0 };
+    let mut s = share(b * e - c * d, a * c - b * b);
+    let mut t = share(b * s + e, c);
+    // The end of the second segment that t was brought back to has its own nearest point on the first.
+    s = share(b * t - d, a);
+    t = share(b * s + e, c);
+    (w + u * s - v * t).length()
+}
+
 /// Seeded random numbers, the same on every machine: SplitMix64 (Steele, Lea and Flood 2014,
 /// doi 10.1145/2660193.2660195).
 #[derive(Clone, Debug)]

@@ -7,7 +7,7 @@ import type { TextKey } from "../texts_en";
 export type PlayerAction =
   | "play" | "frame_back" | "frame_on" | "second_back" | "second_on" | "begin" | "end" | "slower" | "faster" | "moment_back" | "moment_on"
   | "reset_view" | "turn_left" | "turn_right" | "turn_up" | "turn_down" | "nearer" | "further" | "wireframe" | "forces" | "fixed_nodes"
-  | "bodies" | "theatre" | "wipe" | "outside" | "detail" | "tool_1" | "tool_2" | "tool_3" | "tool_4" | "screenshot" | "help" | "leave";
+  | "bodies" | "theatre" | "wipe" | "outside" | "detail" | "tool_1" | "tool_2" | "tool_3" | "tool_4" | "tool_5" | "screenshot" | "help" | "leave";
 
 /** `<` and `>` need Shift on most keyboards, and not on all. */
 const typed = (key: string) => [{ key, shift: false }, { key, shift: true }];
@@ -46,6 +46,7 @@ export const PLAYER_BINDINGS: ReadonlyArray<Binding<PlayerAction>> = [
   own("instrument", "tool_2", "2", plain("2")),
   own("instrument", "tool_3", "3", plain("3")),
   own("instrument", "tool_4", "4", plain("4")),
+  own("instrument", "tool_5", "5", plain("5")),
   own("page", "screenshot", "S", plain("s")),
   own("page", "help", "H or F1", plain("h", "f1", "?")),
   own("page", "leave", "Esc or Q", plain("escape", "q")),
@@ -62,7 +63,7 @@ export const PLAYER_BUTTONS: ButtonGroups<PlayerAction> = [
   [button("frame_back", text("replay_button_frame_back"), "←"), button("play", text("replay_button_play"), "␣"), button("frame_on", text("replay_button_frame_on"), "→")],
   [button("slower", text("replay_button_slower"), "<"), button("faster", text("replay_button_faster"), ">")],
   [button("moment_back", text("replay_button_moment_back"), "["), button("moment_on", text("replay_button_moment_on"), "]")],
-  [button("tool_1", "1", "1"), button("tool_2", "2", "2"), button("tool_3", "3", "3"), button("tool_4", "4", "4")],
+  [button("tool_1", "1", "1"), button("tool_2", "2", "2"), button("tool_3", "3", "3"), button("tool_4", "4", "4"), button("tool_5", "5", "5")],
   [button("reset_view", text("button_reset_view"), "R"), button("wireframe", text("button_wireframe"), "W"), button("fixed_nodes", text("button_fixed_nodes"), "T"), button("forces", text("button_forces"), "F")],
   [button("theatre", text("button_theatre"), "N"), button("wipe", text("button_wipe"), "D"), button("outside", text("button_outside"), "⇧N")],
   [button("screenshot", text("button_screenshot"), "S"), button("help", text("button_help"), "H")],

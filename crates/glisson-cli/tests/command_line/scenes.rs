@@ -37,6 +37,11 @@ fn active_trocar() {
 }
 
 #[test]
+fn gall_bladder() {
+    check("gall_bladder.toml");
+}
+
+#[test]
 fn no_scene_is_left_out() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes");
     let own = include_str!("scenes.rs");

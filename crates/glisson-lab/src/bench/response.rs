@@ -165,6 +165,7 @@ impl PressedCubes {
             tools: Vec::new(),
             bleeding: BleedingSnapshot::default(),
             threads: Vec::new(),
+            strands_m: Vec::new(),
         };
         Ok(Self { bodies, far_sides, pressed_s: 0.0, shown, shown_nodes })
     }

@@ -34,6 +34,7 @@ pub(crate) fn published(step: u64) -> Arc<Published> {
             positions_m: corners.clone(),
             bleeding: Default::default(),
             threads: Vec::new(),
+            strands_m: Vec::new(),
             tools: vec![tool],
         },
         contact_points: None,

@@ -231,6 +231,7 @@ mod tests {
             positions_m: vec![DVec3::ONE],
             bleeding: Default::default(),
             threads: Vec::new(),
+            strands_m: Vec::new(),
             tools,
         }
     }

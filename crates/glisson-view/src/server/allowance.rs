@@ -2,8 +2,8 @@
 
 use std::time::Instant;
 
-/// Messages a second that a viewer may send in the long run: four instruments at 144 Hz. Bursts may have as many more.
-const MESSAGES_PER_S: f64 = 600.0;
+/// Messages a second that a viewer may send in the long run: five instruments at 144 Hz. Bursts may have as many more.
+const MESSAGES_PER_S: f64 = 720.0;
 /// Characters a second in the long run, and the most in a burst.
 const BYTES_PER_S: f64 = 262_144.0;
 
@@ -42,7 +42,7 @@ mod tests {
             let mut allowance = Allowance::new(start);
             (1..=n).filter(|&i| allowance.spend(n_bytes, start + interval * i)).count()
         };
-        assert_eq!(n_passed(Duration::ZERO, 10, 10_000), 600);
+        assert_eq!(n_passed(Duration::ZERO, 10, 10_000), 720);
         assert_eq!(n_passed(Duration::from_millis(2), 300, 10_000), 10_000);
         assert_eq!(n_passed(Duration::ZERO, 65_536, 100), 4);
     }

@@ -17,6 +17,7 @@ const FLAG_CONTACT_POINTS: u32 = 8;
 const FLAG_THREADS: u32 = 16;
 const FLAG_INSIDE: u32 = 32;
 const FLAG_CODED: u32 = 64;
+const FLAG_STRANDS: u32 = 128;
 /// Where a SNAPSHOT frame says how many vertices it has.
 pub(crate) const N_VERTICES_AT: usize = 56;
 
@@ -142,10 +143,11 @@ fn frame_with(
     let with_threads = if snapshot.threads.is_empty() { 0 } else { FLAG_THREADS };
     let with_inside = if inside.is_some() { FLAG_INSIDE } else { 0 };
     let with_code = if coded.is_some() { FLAG_CODED } else { 0 };
+    let with_strands = if snapshot.strands_m.is_empty() { 0 } else { FLAG_STRANDS };
     let bleeding = &snapshot.bleeding;
     let n_blood = if bleeding.has_vessels { 1 + bleeding.ends.len() as u32 } else { 0 };
     let (n_tools, n_vertices) = (snapshot.tools.len() as u32, snapshot.positions_m.len() as u32);
-    let flags = paused | with_contacts | with_threads | with_inside | with_code;
+    let flags = paused | with_contacts | with_threads | with_inside | with_code | with_strands;
     frame.u32s(&[flags, n_tools, n_vertices, n_blood]);
     for tool in &snapshot.tools {
         let pose = &tool.pose;
@@ -186,6 +188,10 @@ fn frame_with(
     }
     if let Some(inside) = inside {
         frame.inside(inside);
+    }
+    if !snapshot.strands_m.is_empty() {
+        frame.u32s(&[snapshot.strands_m.len() as u32]);
+        frame.positions(snapshot.strands_m.as_flattened());
     }
     frame.0
 }
@@ -231,6 +237,7 @@ mod tests {
             tools: vec![tool, ToolSnapshot { contacts: [None; 3], n_held_nodes: 0, ..tool }],
             bleeding: BleedingSnapshot::default(),
             threads: Vec::new(),
+            strands_m: Vec::new(),
         }
     }
 
@@ -277,6 +284,18 @@ mod tests {
         assert_eq!([192, 200, 208].map(double), [0.5, 0.25, 0.125]);
         assert_eq!([216 + 120, 216 + 124].map(word), [0, 0]);
         assert_eq!(frame.len(), WITHOUT_BLOOD);
+    }
+
+    #[test]
+    fn strands_follow_a_snapshot_as_documented() {
+        let strands_m = vec![[DVec3::X, DVec3::Y], [DVec3::Z, DVec3::ONE]];
+        let frame = snapshot_frame(&Snapshot { strands_m, ..snapshot() }, &PACE, None, None);
+        let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
+        let number = |at: usize| f32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
+        assert_eq!(frame.len(), WITHOUT_BLOOD + 4 + 4 * 12);
+        assert_eq!((word(48) & FLAG_STRANDS, word(WITHOUT_BLOOD)), (FLAG_STRANDS, 2));
+        let first = WITHOUT_BLOOD + 4;
+        assert_eq!([first, first + 16, first + 32, first + 36].map(number), [1.0, 1.0, 1.0, 1.0]);
     }
 
     #[test]

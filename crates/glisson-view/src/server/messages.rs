@@ -20,7 +20,7 @@ use glisson_runtime::{Notice, ParameterState, Parameters, Simulation, Turn};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-const PROTOCOL: u32 = 11;
+const PROTOCOL: u32 = 12;
 
 /// The first message on a connection.
 pub(crate) fn hello(simulation: &Simulation) -> Value {

@@ -164,6 +164,7 @@ pub(super) mod tests {
             tools: Vec::new(),
             bleeding: Default::default(),
             threads: Vec::new(),
+            strands_m: Vec::new(),
         }
     }
 

@@ -86,6 +86,8 @@ pub struct Snapshot {
     pub bleeding: BleedingSnapshot,
     /// Threads, in the scene's order.
     pub threads: Vec<ThreadSnapshot>,
+    /// Strands of attachments between bodies that hold: both ends of each [m].
+    pub strands_m: Vec<[DVec3; 2]>,
 }
 
 /// What a viewer needs to know once, and again after each change of topology.

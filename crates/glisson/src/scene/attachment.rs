@@ -34,6 +34,10 @@ pub struct AttachmentSource {
     pub stiffness_n_per_m: f64,
     /// Damping over stiffness [s].
     pub damping_s: f64,
+    /// Whether edges and hot tips part it.
+    pub can_be_cut: bool,
+    /// Pull that tears the whole attachment, if all of it is pulled alike [N]; infinite where nothing tears it.
+    pub strength_n: f64,
 }
 
 pub(super) fn read_attachment(
@@ -70,12 +74,23 @@ pub(super) fn read_attachment(
         .positive("stiffness", Dimension::Stiffness)?
         .ok_or_else(|| section.missing("stiffness", "stiffness = \"200 N/m\""))?;
     let damping_s = section.positive("damping", Dimension::Time)?.unwrap_or(0.0);
+    let can_be_cut = section.flag("cut")?.unwrap_or(false);
+    let strength_n = section.positive("strength", Dimension::Force)?.unwrap_or(f64::INFINITY);
     section.finish()?;
-    Ok(AttachmentSource { bodies: pair, kind, region, reach_m, stiffness_n_per_m, damping_s })
+    Ok(AttachmentSource {
+        bodies: pair,
+        kind,
+        region,
+        reach_m,
+        stiffness_n_per_m,
+        damping_s,
+        can_be_cut,
+        strength_n,
+    })
 }
 
 /// The bonds of an attachment: one for each surface node of the first body in the region, with the nearest place of the second one
-/// within reach. They share the stiffness evenly.
+/// within reach. They share stiffness and strength evenly.
 pub(super) fn bonds(
     source: &AttachmentSource,
     bodies: &[BodySpec],
@@ -111,12 +126,14 @@ pub(super) fn bonds(
             found.push(([node, a, b, c], weights));
         }
     }
-    let share_n_per_m = source.stiffness_n_per_m / found.len().max(1) as f64;
+    let n_found = found.len().max(1) as f64;
+    let share_n_per_m = source.stiffness_n_per_m / n_found;
+    let (can_be_cut, strength_n) = (source.can_be_cut, source.strength_n / n_found);
     let bond = |(nodes, at): ([NodeId; 4], [f64; 3])| match source.kind {
         AttachmentKind::Glue => Bond::glue(nodes, at, &mesh.positions_m, share_n_per_m, source.damping_s),
         AttachmentKind::Ligament => {
             Bond::ligament(nodes, at, &mesh.positions_m, share_n_per_m, source.damping_s)
         }
     };
-    found.into_iter().map(bond).collect()
+    found.into_iter().map(bond).map(|bond| Bond { can_be_cut, strength_n, ..bond }).collect()
 }

@@ -2,6 +2,7 @@
 
 use super::build_error::BuildError;
 use super::shape::{BodyShape, PhantomOrgan, ShapeSource};
+use super::solids::{ball, cylinder, tube};
 use crate::image::LabelMap;
 use crate::image::labels::Parts;
 use crate::image::phantom::{PhantomParams, PhantomTruth, truth};
@@ -22,8 +23,6 @@ use std::path::Path;
 const EDGES_ALONG: f64 = 12.0;
 /// Cells along a side of a box at most: a choice.
 const MOST_CELLS: f64 = 64.0;
-/// Sides of the polygon that stands for the circle of a cylinder, and rings of triangles on a ball.
-const N_AROUND: u32 = 48;
 
 /// Makes the meshes of a scene's bodies; each synthetic patient once.
 pub(super) struct ShapeBuilder<'a> {
@@ -92,6 +91,10 @@ impl<'a> ShapeBuilder<'a> {
                 let longest_m = from_m.distance(to_m).max(2.0 * radius_m);
                 meshed(&cylinder(from_m, to_m, radius_m), edge_m(longest_m))?
             }
+            BodyShape::Tube { path_m, radii_m } => {
+                let surface = tube(path_m, radii_m);
+                meshed(&surface, edge_m(longest(&surface.positions_m)))?
+            }
         };
         Ok((mesh, Vec::new()))
     }
@@ -116,7 +119,7 @@ impl<'a> ShapeBuilder<'a> {
     fn phantom_organ(&mut self, organ: &PhantomOrgan) -> Result<(TetMesh, Vec<i64>), BuildError> {
         let labels = &self.patient(organ.seed).labels;
         let selection = labels.select(organ.organ.name(), Parts::Included)?;
-        if organ.parts.is_empty() {
+        if organ.parts.is_empty() && organ.finer.is_none() {
             let mask = labels.mask(&selection);
             let params = SurfaceParams { cap_at_border: true, ..SurfaceParams::default() };
             let (surface, _) = surface_of_mask(&labels.grid, &mask, &params)?;
@@ -129,7 +132,7 @@ impl<'a> ShapeBuilder<'a> {
         let params = OrganMeshParams {
             labels: wanted.map(|tissue| tissue.label()).collect(),
             size: OrganSize::Tetrahedra(organ.n_tetrahedra),
-            grading: Grading::default(),
+            grading: Grading { balls: organ.finer.into_iter().collect(), ..Grading::default() },
         };
         let made = mesh_organs(&map, &params)?;
         Ok((made.mesh, made.label_of.into_iter().map(i64::from).collect()))
@@ -163,54 +166,6 @@ fn cells(size_m: DVec3, edge_m: f64) -> TetMesh {
     box_of_five(cells, size_m)
 }
 
-fn ball(center_m: DVec3, radius_m: f64) -> TriMesh {
-    let (n_around, n_rings) = (N_AROUND, N_AROUND / 2);
-    let mut surface = TriMesh::default();
-    surface.positions_m.push(center_m + DVec3::Z * radius_m);
-    for ring in 1..n_rings {
-        let polar = std::f64::consts::PI * f64::from(ring) / f64::from(n_rings);
-        for i in 0..n_around {
-            let angle = std::f64::consts::TAU * f64::from(i) / f64::from(n_around);
-            let around = DVec3::new(libm::cos(angle), libm::sin(angle), 0.0) * libm::sin(polar);
-            surface.positions_m.push(center_m + (around + DVec3::Z * libm::cos(polar)) * radius_m);
-        }
-    }
-    surface.positions_m.push(center_m - DVec3::Z * radius_m);
-    let last = surface.positions_m.len() as u32 - 1;
-    let at = |ring: u32, i: u32| 1 + (ring - 1) * n_around + i % n_around;
-    for i in 0..n_around {
-        surface.triangles.push([0, at(1, i), at(1, i + 1)]);
-        for ring in 1..n_rings - 1 {
-            let (a, b) = (at(ring, i), at(ring, i + 1));
-            let (c, d) = (at(ring + 1, i), at(ring + 1, i + 1));
-            surface.triangles.extend([[a, c, d], [a, d, b]]);
-        }
-        surface.triangles.push([last, at(n_rings - 1, i + 1), at(n_rings - 1, i)]);
-    }
-    surface
-}
-
-fn cylinder(from_m: DVec3, to_m: DVec3, radius_m: f64) -> TriMesh {
-    let axis = (to_m - from_m).normalize();
-    let (x, y) = axis.any_orthonormal_pair();
-    let n_around = N_AROUND;
-    let mut surface = TriMesh::default();
-    for end_m in [from_m, to_m] {
-        for i in 0..n_around {
-            let angle = std::f64::consts::TAU * f64::from(i) / f64::from(n_around);
-            surface.positions_m.push(end_m + (x * libm::cos(angle) + y * libm::sin(angle)) * radius_m);
-        }
-    }
-    let (base, top) = (2 * n_around, 2 * n_around + 1);
-    surface.positions_m.extend([from_m, to_m]);
-    for i in 0..n_around {
-        let (a, b) = (i, (i + 1) % n_around);
-        let (c, d) = (a + n_around, b + n_around);
-        surface.triangles.extend([[a, b, d], [a, d, c], [base, b, a], [top, c, d]]);
-    }
-    surface
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -239,7 +194,14 @@ mod tests {
     }
 
     fn phantom(n_tetrahedra: usize, parts: Vec<Tissue>) -> ShapeSource {
-        let organ = PhantomOrgan { organ: Tissue::Liver, seed: 3, n_tetrahedra, parts, has_vessels: true };
+        let organ = PhantomOrgan {
+            organ: Tissue::Liver,
+            seed: 3,
+            n_tetrahedra,
+            parts,
+            has_vessels: true,
+            finer: None,
+        };
         ShapeSource { shape: BodyShape::Phantom(organ), edge_m: None }
     }
 

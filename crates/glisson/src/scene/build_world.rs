@@ -24,16 +24,13 @@ pub fn build_world(
 ) -> Result<(World, BodySet), BuildError> {
     let mut spec = scene.world.clone();
     spec.tools = read_tools(scene, folder)?;
-    if let Some(file) = &scene.organ.vessels {
-        spec.vessels = read_vessels(&folder.join(file))?;
-    }
     let mut shapes = ShapeBuilder::new(folder);
-    if spec.vessels.is_empty() {
-        spec.vessels = shapes.vessels(&scene.organ.shape);
+    for organ in scene.organs() {
+        let of_file = organ.vessels.as_ref().map(|file| read_vessels(&folder.join(file))).transpose()?;
+        let own = of_file.filter(|own| !own.is_empty()).unwrap_or_else(|| shapes.vessels(&organ.shape));
+        append_vessels(&mut spec.vessels, &own);
+        append_vessels(&mut spec.vessels, &organ.vessel_tubes);
     }
-    let n_before = spec.vessels.len() as u32;
-    let moved = |tube: &Tube| Tube { parent: tube.parent.map(|parent| parent + n_before), ..*tube };
-    spec.vessels.extend(scene.organ.vessel_tubes.iter().map(moved));
     let kind = scene.organ.model;
     let (bodies, memory) = if scene.bodies.is_empty() {
         (BodySet::single(OrganBody { workers, ..organ_of(scene, folder, &mut shapes)? }), None)
@@ -50,4 +47,11 @@ pub fn build_world(
         world.start_in_touch(memory);
     }
     Ok((world, bodies))
+}
+
+/// Adds tubes, whose parents are among them.
+fn append_vessels(all: &mut Vec<Tube>, more: &[Tube]) {
+    let n_before = all.len() as u32;
+    let moved = |tube: &Tube| Tube { parent: tube.parent.map(|parent| parent + n_before), ..*tube };
+    all.extend(more.iter().map(moved));
 }

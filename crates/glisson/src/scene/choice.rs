@@ -1,7 +1,7 @@
 //! What may be chosen of a scene with a task: its patient and its level. The choice is written into the scene's text, so that a session
 //! holds it.
 
-use super::reader::{SceneError, Section, parse_toml};
+use super::reader::{SceneError, Section, Value, parse_toml};
 use super::spec::Scene;
 use std::ops::Range;
 
@@ -26,14 +26,16 @@ pub fn choose(text: &str, choice: &Choice) -> Result<String, SceneError> {
     let task = scene.task.as_ref();
     if let Some(patient) = choice.patient {
         let patients = task.map_or(&[][..], |task| &task.patients[..]);
-        let seed = root.value_at(&["organ", "phantom", "seed"]);
-        match seed.filter(|_| patients.contains(&patient)) {
-            Some(seed) => edits.push((seed.span(), patient.to_string())),
-            None => {
-                let names: Vec<String> = patients.iter().map(u32::to_string).collect();
-                return Err(no_such(&root, "patients", &patient.to_string(), &names));
-            }
+        if !patients.contains(&patient) {
+            let names: Vec<String> = patients.iter().map(u32::to_string).collect();
+            return Err(no_such(&root, "patients", &patient.to_string(), &names));
         }
+        // Of several bodies all that are of the same patient.
+        let seeds = ["organ", "rigid"].map(|body| root.values_at(&[body, "phantom", "seed"])).concat();
+        let digits = |seed: &Value<'_>| seed.get_ref().as_integer().map(|seed| seed.as_str().to_owned());
+        let usual = seeds.first().and_then(digits);
+        let of_usual = seeds.iter().filter(|seed| digits(seed) == usual);
+        edits.extend(of_usual.map(|seed| (seed.span(), patient.to_string())));
     }
     if let Some(level) = &choice.level {
         let levels = task.map_or(&[][..], |task| &task.levels[..]);

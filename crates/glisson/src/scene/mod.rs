@@ -13,6 +13,7 @@ mod region;
 mod material;
 mod when_cut;
 mod shape;
+mod solids;
 mod vessel;
 mod organ;
 mod reader;

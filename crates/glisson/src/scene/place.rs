@@ -38,17 +38,32 @@ pub(super) fn read_places(sections: Vec<Section<'_>>, seed: Option<u64>) -> Resu
 fn read_place(section: &mut Section<'_>, patient: &PhantomPlaces) -> Result<(String, DVec3), SceneError> {
     let name = section.string("name")?.ok_or_else(|| section.missing("name", "name = \"nodule\""))?.0;
     let middle_of = section.string("middle_of")?;
+    let end_of = section.string("end_of")?;
     let inside_m = section.point("inside")?;
-    let from_m = match (middle_of, inside_m) {
-        (Some((part, at)), None) => {
+    let from_m = match (middle_of, end_of, inside_m) {
+        (None, Some((end, at)), None) => {
+            let [neck_m, fundus_m] = patient.gall_bladder_ends_m();
+            match end.as_str() {
+                "gall_bladder_neck" => neck_m,
+                "gall_bladder_fundus" => fundus_m,
+                _ => {
+                    let allowed = "gall_bladder_neck or gall_bladder_fundus";
+                    return Err(section.wrong_value(at, "end_of", format!("\"{end}\""), allowed));
+                }
+            }
+        }
+        (Some((part, at)), None, None) => {
             let tissue = tissue_named(section, "middle_of", &part, at)?;
             patient.middle_m(tissue).ok_or_else(|| {
                 let allowed = "liver_tumour, gall_bladder, spleen, kidney_right or kidney_left";
                 section.wrong_value(at, "middle_of", format!("\"{part}\""), allowed)
             })?
         }
-        (None, Some(inside_m)) => inside_m,
-        _ => return Err(section.missing_one_of(&["middle_of", "inside"], "middle_of = \"liver_tumour\"")),
+        (None, None, Some(inside_m)) => inside_m,
+        _ => {
+            let one_of = ["middle_of", "end_of", "inside"];
+            return Err(section.missing_one_of(&one_of, "middle_of = \"liver_tumour\""));
+        }
     };
     let place_m = match section.direction("toward")? {
         None => from_m,

@@ -251,21 +251,34 @@ impl<'a> Section<'a> {
 
     /// Three lengths, the name of a place, or a place with three lengths beside it: `{ place, plus }`.
     pub(crate) fn point(&mut self, key: &'static str) -> Result<Option<DVec3>, SceneError> {
-        let Some(value) = self.table.get(key) else { return self.vector(key, Dimension::Length) };
+        self.get(key).map(|value| self.point_of(key, value)).transpose()
+    }
+
+    fn point_of(&self, key: &'static str, value: Value<'a>) -> Result<DVec3, SceneError> {
         if let Some(name) = value.get_ref().as_str() {
-            self.asked.push(key);
-            return self.place_named(key, name, value).map(Some);
+            return self.place_named(key, name, value);
         }
         if !value.get_ref().is_table() {
-            return self.vector(key, Dimension::Length);
+            return self.vector_of(key, value, Dimension::Length);
         }
-        let Some(mut table) = self.section(key)? else { return Ok(None) };
+        let mut table = self.section_of(format!("[{key}]"), key, value)?;
         let (name, at) =
             table.string("place")?.ok_or_else(|| table.missing("place", "place = \"nodule\""))?;
         let place_m = table.place_named("place", &name, at)?;
         let plus_m = table.vector("plus", Dimension::Length)?.unwrap_or(DVec3::ZERO);
         table.finish()?;
-        Ok(Some(place_m + plus_m))
+        Ok(place_m + plus_m)
+    }
+
+    /// A list of such points.
+    pub(crate) fn points(
+        &mut self,
+        key: &'static str,
+        example: &'static str,
+    ) -> Result<Option<Vec<DVec3>>, SceneError> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        let list = value.get_ref().as_array().ok_or_else(|| self.wrong_type(value, key, example))?;
+        list.iter().map(|point| self.point_of(key, point)).collect::<Result<_, _>>().map(Some)
     }
 
     fn place_named(&self, key: &str, name: &str, at: Value<'_>) -> Result<DVec3, SceneError> {
@@ -352,13 +365,16 @@ impl<'a> Section<'a> {
         key: &'static str,
         dimension: Dimension,
     ) -> Result<Option<DVec3>, SceneError> {
-        let Some(value) = self.get(key) else { return Ok(None) };
+        self.get(key).map(|value| self.vector_of(key, value, dimension)).transpose()
+    }
+
+    fn vector_of(&self, key: &str, value: Value<'a>, dimension: Dimension) -> Result<DVec3, SceneError> {
         let [x, y, z] = self.three(key, value)?;
-        Ok(Some(DVec3::new(
+        Ok(DVec3::new(
             self.quantity_of(key, x, dimension)?,
             self.quantity_of(key, y, dimension)?,
             self.quantity_of(key, z, dimension)?,
-        )))
+        ))
     }
 
     /// A list of lists of so many lengths each, `example` of them.
@@ -418,6 +434,21 @@ impl<'a> Section<'a> {
             let table = value.get_ref().as_array().map_or(value, |list| list.first().unwrap_or(value));
             table.get_ref().as_table()?.get(*key)
         })
+    }
+
+    /// All values at a path of tables and lists of tables.
+    pub(crate) fn values_at(&self, path: &[&str]) -> Vec<Value<'a>> {
+        let Some((first, rest)) = path.split_first() else { return Vec::new() };
+        let all_of = |value: Value<'a>| match value.get_ref().as_array() {
+            Some(list) => list.iter().collect(),
+            None => vec![value],
+        };
+        let mut found: Vec<Value<'a>> = self.table.get(*first).into_iter().collect();
+        for key in rest {
+            let tables = found.into_iter().flat_map(all_of);
+            found = tables.filter_map(|table| table.get_ref().as_table()?.get(*key)).collect();
+        }
+        found
     }
 
     /// Whether `key` is there; it still has to be asked for.

@@ -3,6 +3,7 @@
 use super::reader::{SceneError, Section, Value};
 use crate::image::phantom::Tissue;
 use crate::math::DVec3;
+use crate::mesh::organs::{FinerBall, MAX_FINER};
 use crate::text::did_you_mean;
 use crate::units::{Dimension, LengthUnit};
 use std::path::{Path, PathBuf};
@@ -40,6 +41,13 @@ pub enum BodyShape {
         /// Radius [m].
         radius_m: f64,
     },
+    /// A tube around a smooth line through points, with rounded ends.
+    Tube {
+        /// The points [m].
+        path_m: Vec<DVec3>,
+        /// The radius at each [m].
+        radii_m: Vec<f64>,
+    },
     /// A square plate.
     Slab {
         /// Middle of its upper face [m].
@@ -68,6 +76,8 @@ pub struct PhantomOrgan {
     pub parts: Vec<Tissue>,
     /// Whether its blood vessels come with it.
     pub has_vessels: bool,
+    /// Where its tetrahedra are smaller.
+    pub finer: Option<FinerBall>,
 }
 
 /// A shape, and how finely it is meshed.
@@ -79,13 +89,15 @@ pub struct ShapeSource {
     pub edge_m: Option<f64>,
 }
 
-const KEYS: [&str; 6] = ["mesh", "box", "ball", "cylinder", "slab", "phantom"];
+const KEYS: [&str; 7] = ["mesh", "box", "ball", "cylinder", "tube", "slab", "phantom"];
 const EXAMPLE: &str = "mesh = \"liver.vtu\", or in its place box = { min, max }, ball = { center, radius }, \
-     cylinder = { from, to, radius }, slab = { point, normal, size, thickness } or phantom = { organ, seed, tetrahedra }";
-const ALLOWED: &str = "exactly one of mesh, box, ball, cylinder, slab and phantom";
+     cylinder = { from, to, radius }, tube = { path, radii }, slab = { point, normal, size, thickness } or phantom = { organ, seed, tetrahedra }";
+const ALLOWED: &str = "exactly one of mesh, box, ball, cylinder, tube, slab and phantom";
 
 /// What lies in the liver, and can have a label of its own.
 const INSIDE_LIVER: [Tissue; 3] = [Tissue::LiverTumour, Tissue::PortalVein, Tissue::HepaticVein];
+/// Points of a tube at most: a choice.
+const MOST_OF_TUBE: usize = 100;
 /// Tetrahedra of an organ of the phantom unless the scene says how many.
 const DEFAULT_TETRAHEDRA: usize = 6300;
 /// The fewest and most that a scene may ask for.
@@ -142,6 +154,7 @@ impl BodyShape {
             Self::Box { .. } => "the box".into(),
             Self::Ball { .. } => "the ball".into(),
             Self::Cylinder { .. } => "the cylinder".into(),
+            Self::Tube { .. } => "the tube".into(),
             Self::Slab { .. } => "the slab".into(),
             Self::Phantom(organ) => format!("the {} of phantom {}", organ.organ.name(), organ.seed),
         }
@@ -149,10 +162,11 @@ impl BodyShape {
 }
 
 /// What may stand in place of a file.
-const SOLIDS: [(&str, ReadSolid); 5] = [
+const SOLIDS: [(&str, ReadSolid); 6] = [
     ("box", read_box),
     ("ball", read_ball),
     ("cylinder", read_cylinder),
+    ("tube", read_tube),
     ("slab", read_slab),
     ("phantom", read_phantom),
 ];
@@ -192,6 +206,25 @@ fn read_cylinder(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {
     Ok(BodyShape::Cylinder { from_m, to_m, radius_m })
 }
 
+fn read_tube(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {
+    const PATH: &str = "path = [[\"0 mm\", \"0 mm\", \"0 mm\"], [\"0 mm\", \"0 mm\", \"90 mm\"]]";
+    const RADII: &str = "radii = [[\"9 mm\"], [\"5 mm\"]], one for each point of the path";
+    let path_m = table.points("path", PATH)?.ok_or_else(|| table.missing("path", PATH))?;
+    let radii = table.lengths("radii", (1..=1, RADII))?.ok_or_else(|| table.missing("radii", RADII))?;
+    let radii_m = radii.concat();
+    let is_still = path_m.windows(2).any(|pair| pair[0] == pair[1]);
+    if !(2..=MOST_OF_TUBE).contains(&path_m.len()) || is_still || radii_m.len() != path_m.len() {
+        let found = format!("a path of {} points with {} radii", path_m.len(), radii_m.len());
+        let allowed =
+            format!("2 to {MOST_OF_TUBE} points, each apart from the one before, and a radius for each");
+        return Err(table.wrong_table("tube", found, allowed));
+    }
+    if radii_m.iter().any(|radius_m| *radius_m <= 0.0) {
+        return Err(table.wrong_table("radii", "a radius of zero or less".into(), "more than zero".into()));
+    }
+    Ok(BodyShape::Tube { path_m, radii_m })
+}
+
 fn read_slab(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {
     let point_m = table.required_point("point", "point = [\"0 mm\", \"0 mm\", \"0 mm\"]")?;
     let normal = table.direction("normal")?.ok_or_else(|| table.missing("normal", "normal = [0, -1, 0]"))?;
@@ -229,7 +262,20 @@ fn read_phantom(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {
         let allowed = "vessels = true with organ = \"liver\" alone: the others have none".into();
         return Err(table.wrong_table("vessels", format!("true for the {name}"), allowed));
     }
-    Ok(BodyShape::Phantom(PhantomOrgan { organ, seed, n_tetrahedra, parts, has_vessels: vessels }))
+    let finer = table.section("finer")?.map(read_finer).transpose()?;
+    Ok(BodyShape::Phantom(PhantomOrgan { organ, seed, n_tetrahedra, parts, has_vessels: vessels, finer }))
+}
+
+fn read_finer(mut table: Section<'_>) -> Result<FinerBall, SceneError> {
+    let center_m = table.required_point("center", "center = [\"0 mm\", \"0 mm\", \"9 mm\"]")?;
+    let radius_m = table.required_length("radius", "radius = \"30 mm\"")?;
+    let (factor, at) = table.number("factor")?.ok_or_else(|| table.missing("factor", "factor = 2"))?;
+    if !(1.0..=MAX_FINER).contains(&factor) {
+        let allowed = format!("1 to {MAX_FINER}");
+        return Err(table.wrong_value(at, "factor", factor.to_string(), &allowed));
+    }
+    table.finish()?;
+    Ok(FinerBall { center_m, radius_m, factor })
 }
 
 pub(super) fn tissue_named(
@@ -267,6 +313,7 @@ mod tests {
             n_tetrahedra: 900,
             parts: vec![Tissue::LiverTumour],
             has_vessels: true,
+            finer: None,
         };
         assert_eq!(read.unwrap().organ.shape.shape, BodyShape::Phantom(expected));
     }

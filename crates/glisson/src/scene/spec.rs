@@ -1,7 +1,7 @@
 //! What a scene file says.
 
 use super::attachment::{AttachmentSource, read_attachment};
-use super::bodies::{BodySections, SceneBodies, SceneBody};
+use super::bodies::{BodySections, BodySource, SceneBodies, SceneBody};
 use super::contact::{read_body_contact, read_contact};
 use super::hand::read_hand;
 use super::instrument::{
@@ -13,7 +13,7 @@ use super::reader::{SceneError, Section, parse_toml};
 use super::shape::BodyShape;
 use super::simulation::read_simulation;
 use super::suture::read_sutures;
-use super::task::{TaskSource, read_task};
+use super::task::{TaskScene, TaskSource, read_task};
 use crate::record::session::{
     FIRST_VERSION_WITH_EMBEDDED_CUTS, FIRST_VERSION_WITH_HAND, FIRST_VERSION_WITH_PARTING_SCISSORS,
     SessionHeader,
@@ -162,9 +162,20 @@ impl Scene {
             sutures: read_sutures(sewn)?,
             tools: scripted,
         };
-        let task = task.map(|task| read_task(task, &world.tools, has_seed)).transpose()?;
+        let around = TaskScene { tools: &world.tools, bodies: &bodies, has_seed };
+        let task = task.map(|task| read_task(task, &around)).transpose()?;
         let (most_parts, text) = (simulation.most_parts, text.to_string());
         Ok(Self { world, organ, bodies, attachments, most_parts, paths, tool_shapes, task, text })
+    }
+
+    /// Its organs, in their order.
+    pub fn organs(&self) -> impl Iterator<Item = &OrganSource> {
+        let several = self.bodies.iter().filter_map(|body| match &body.source {
+            BodySource::Organ(organ, _) => Some(&**organ),
+            BodySource::Rigid(_) => None,
+        });
+        let only = self.bodies.is_empty().then_some(&self.organ);
+        only.into_iter().chain(several)
     }
 
     /// The synthetic patient that its first organ is of, if it is of one.
@@ -305,8 +316,8 @@ trigger = 1
         assert!(message(&two.replace("\"grasper\"", "\"grabber\"")).contains(allowed));
         assert!(message(&two.replace("home_jaw = 1", "home_jaw = 2")).contains("between 0 and 1"));
         assert!(message(&two.replace("\"grasper\"", "\"probe\"")).contains("unknown key"));
-        let five = two.clone() + &grasper.repeat(3);
-        assert!(message(&five).contains("5 instruments; allowed: 1 to 4"), "{}", message(&five));
+        let six = two.clone() + &grasper.repeat(4);
+        assert!(message(&six).contains("6 instruments; allowed: 1 to 5"), "{}", message(&six));
     }
 
     #[test]

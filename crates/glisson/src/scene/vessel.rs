@@ -2,7 +2,6 @@
 
 use super::reader::{SceneError, Section};
 use crate::image::vessels::Tube;
-use crate::math::DVec3;
 use crate::units::Dimension;
 
 const PATH: &str = "path = [[\"0 mm\", \"0 mm\", \"0 mm\"], [\"0 mm\", \"0 mm\", \"40 mm\"]]";
@@ -19,8 +18,7 @@ pub(super) fn read_vessels(sections: Vec<Section<'_>>) -> Result<Vec<Tube>, Scen
 }
 
 fn read_vessel(mut section: Section<'_>, tubes: &mut Vec<Tube>) -> Result<(), SceneError> {
-    let points = section.lengths("path", (3..=3, PATH))?.ok_or_else(|| section.missing("path", PATH))?;
-    let path_m: Vec<DVec3> = points.iter().map(|point| DVec3::from_slice(point)).collect();
+    let path_m = section.points("path", PATH)?.ok_or_else(|| section.missing("path", PATH))?;
     if path_m.len() < 2 || path_m.len() > MOST_POINTS || path_m.windows(2).any(|pair| pair[0] == pair[1]) {
         let found = format!("a path of {} points", path_m.len());
         let allowed = format!("2 to {MOST_POINTS} points, each apart from the one before");
@@ -41,6 +39,7 @@ fn read_vessel(mut section: Section<'_>, tubes: &mut Vec<Tube>) -> Result<(), Sc
 mod tests {
     use super::super::spec::Scene;
     use super::*;
+    use crate::math::DVec3;
 
     fn vessels(text: &str) -> Result<Vec<Tube>, SceneError> {
         let scene = format!(

@@ -15,8 +15,8 @@ use crate::contact::shapes::MeshShape;
 use crate::math::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// Instruments of a world at most: two hands, a camera and an assistant.
-pub const MAX_TOOLS: usize = 4;
+/// Instruments of a world at most: two hands, a camera, an assistant, and one that is taken in exchange.
+pub const MAX_TOOLS: usize = 5;
 
 /// A rigid straight instrument: a shaft that ends in a tip.
 #[derive(Clone, Debug, PartialEq)]

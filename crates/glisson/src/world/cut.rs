@@ -32,6 +32,8 @@ pub struct ToolCuts {
     pub n_torn: usize,
     /// Edits by which blades parted the mesh, and those that parted singular places and mended the mesh at a stroke's end.
     pub n_edits: usize,
+    /// Strands of attachments that were parted.
+    pub n_parted: usize,
     /// What the blades did.
     pub blades: BladeReport,
     /// Strokes of blades that ended and cut something, each whole, with the tool's number.
@@ -93,6 +95,7 @@ impl World {
     pub fn cut_with_tools(&mut self) -> ToolCuts {
         let mut cuts = ToolCuts::default();
         for tool in 0..self.tool_states.len() {
+            cuts.n_parted += self.part_attachments(tool);
             let hand = &self.tool_states[tool];
             let kind = self.spec.tools[tool].kind;
             if let Some(rule) = kind.burning() {

@@ -1,9 +1,10 @@
-//! One organ or several bodies ([`bodies`]), up to four instruments, and the step that joins them.
+//! One organ or several bodies ([`bodies`]), up to five instruments, and the step that joins them.
 //!
 //! Stages of a step, in order: hands, contacts and grasps, constraints and loads, model, forces. Cuts are made
 //! between steps ([`World::edit`], [`World::cut_with_tools`]). A step never fails, allocates, locks, logs or reads a clock.
 
 mod active;
+mod attachments;
 pub mod bodies;
 mod burn;
 mod constrain;
@@ -511,6 +512,7 @@ impl World {
             tools,
             bleeding,
             threads: Vec::new(),
+            strands_m: Vec::new(),
         };
         self.snapshot_into(&mut snapshot);
         snapshot
@@ -542,6 +544,8 @@ impl World {
         {
             suture.snapshot_into(spec, thread);
         }
+        snapshot.strands_m.clear();
+        snapshot.strands_m.extend(self.strands_m().map(|(_, ends_m)| ends_m));
         match &self.vessels {
             None => snapshot.bleeding.has_vessels = false,
             Some(vessels) => {

@@ -114,6 +114,12 @@ impl Vessels {
         self.middles[tube].map(|site| site.place_m(body, positions_m))
     }
 
+    /// Where clips are in the rest shape [m].
+    pub fn clips_at_rest_m(&self) -> impl Iterator<Item = DVec3> + '_ {
+        let all = self.tubes.iter().zip(&self.clips);
+        all.flat_map(|(tube, clips)| clips.iter().map(|along| tube.point_m(*along)))
+    }
+
     /// Number of clips set.
     pub fn n_clips(&self) -> usize {
         self.clips.iter().map(Vec::len).sum()

@@ -4,6 +4,7 @@
 #[allow(dead_code, reason = "the tests of models use more of it")]
 mod model_meshes;
 mod active_trocar;
+mod attachments;
 mod bodies;
 mod capsule;
 mod carving;

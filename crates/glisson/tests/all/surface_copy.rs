@@ -58,7 +58,7 @@ fn a_world_that_is_told_moves_as_one_that_looks_by_itself() {
     for step in 0..3000 {
         let pose = pressing(step);
         follow(&mut copy, &is_told);
-        let detected = [Some(detector.look(&copy, &pose)), None, None, None];
+        let detected = [Some(detector.look(&copy, &pose)), None, None, None, None];
         let found = is_told.step(&StepInput { detected, ..StepInput::of(&[pose]) });
         let expected = looks.step(&StepInput::of(&[pose]));
         if !found.in_contact() && detected[0].is_some_and(|d| !d.is_free()) {
@@ -176,7 +176,8 @@ fn a_world_takes_only_what_can_be() {
         let mut detected = good_touch(&world, &deep);
         assert!(detected.touches[0].is_some());
         change(&mut detected);
-        let input = StepInput { detected: [Some(detected), None, None, None], ..StepInput::of(&[pose]) };
+        let input =
+            StepInput { detected: [Some(detected), None, None, None, None], ..StepInput::of(&[pose]) };
         world.step(&input).in_contact()
     };
     let of_tip = |change: &'static dyn Fn(&mut ExternalTouch)| {

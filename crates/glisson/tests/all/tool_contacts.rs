@@ -43,7 +43,7 @@ fn touches(tool: &Tool, poses: &[ToolInput]) -> Vec<bool> {
         let input = StepInput::of(&[*pose]);
         let input = if i == 0 { input.placed() } else { input };
         follow(&mut copy, &is_told);
-        let detected = [Some(detector.look(&copy, pose)), None, None, None];
+        let detected = [Some(detector.look(&copy, pose)), None, None, None, None];
         let found = is_told.step(&StepInput { detected, ..input }).in_contact();
         let expected = looks.step(&input).in_contact();
         assert_eq!(found, expected, "told and by itself, at pose {i}");

@@ -1,9 +1,7 @@
 //! The instruments of a seed: what they are, not what hands do with them.
 
 use super::draw::Draw;
-use glisson::tool::{
-    Blade, Burnt, CutRule, Grip, Jaws, MAX_TOOLS, Snip, Tool, ToolInput, ToolKind, ToolShape,
-};
+use glisson::tool::{Blade, Burnt, CutRule, Grip, Jaws, Snip, Tool, ToolInput, ToolKind, ToolShape};
 
 const JAWS: Jaws = Jaws { length_m: 0.02, width_m: 6e-3, greatest_opening_rad: 1.0, closing_force_n: 20.0 };
 pub(super) const TIP_RADIUS_M: f64 = 1.5e-3;
@@ -16,9 +14,10 @@ pub(super) const GRASPER: usize = 0;
 pub(super) const HOT: usize = 1;
 pub(super) const SCISSORS: usize = 2;
 pub(super) const SCALPEL: usize = 3;
+pub(super) const N_TOOLS: usize = 4;
 
 /// A grasper, a hook or cautery, scissors and a scalpel of one of two kinds, for a mesh with edges of `mean_edge_m`.
-pub(super) fn tools(draw: &Draw, mean_edge_m: f64, time_step_s: f64, home: ToolInput) -> [Tool; MAX_TOOLS] {
+pub(super) fn tools(draw: &Draw, mean_edge_m: f64, time_step_s: f64, home: ToolInput) -> [Tool; N_TOOLS] {
     let at_once = CutRule {
         least_force_n: 1e-4,
         least_time_s: STEPS_TO_CUT * time_step_s,

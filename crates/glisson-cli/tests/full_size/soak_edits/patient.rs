@@ -3,7 +3,7 @@
 use super::attached::Attached;
 use super::before::LastEdit;
 use super::draw::Draw;
-use super::instruments::tools;
+use super::instruments::{N_TOOLS, tools};
 use super::substance::{DENSITY_KG_PER_M3, Held, Substance, torn_material};
 use super::tally::Tally;
 use glisson::image::vessels::Tube;
@@ -11,8 +11,8 @@ use glisson::math::{Aabb, DVec3, SeededRandom};
 use glisson::mesh::topology::Topology;
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::{Attachment, DeformableModel};
+use glisson::tool::ToolInput;
 use glisson::tool::fracture::{FractureEnergy, Tearing};
-use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::spec::{Ligament, Load, LoadTime, Region, Support, WorldSpec, attachments, fixed_nodes};
 use glisson::world::{StepInput, StepReport, World};
 
@@ -57,7 +57,7 @@ pub(super) struct Patient<'a> {
     /// Of everything live, as the model has it on its free nodes [kg].
     pub(super) mass_kg: f64,
     pub(super) mean_edge_m: f64,
-    pub(super) away: [ToolInput; MAX_TOOLS],
+    pub(super) away: [ToolInput; N_TOOLS],
     pub(super) random: SeededRandom,
     /// Nodes of tetrahedra that edits changed since a stroke began.
     pub(super) touched: Vec<NodeId>,
@@ -164,7 +164,7 @@ impl<'a> Patient<'a> {
             world,
             mass_kg: mesh.volume_m3() * DENSITY_KG_PER_M3,
             mean_edge_m: shape.mean_edge_m,
-            away: [shape.away; MAX_TOOLS],
+            away: [shape.away; N_TOOLS],
             random,
             touched: Vec::new(),
             left: Vec::new(),
@@ -185,7 +185,7 @@ impl<'a> Patient<'a> {
         format!("{}, seed {seed}, {kind}, {law}, edit {edits}, step {step}", self.name)
     }
 
-    pub(super) fn step(&mut self, tools: &[ToolInput; MAX_TOOLS], placed: bool) {
+    pub(super) fn step(&mut self, tools: &[ToolInput; N_TOOLS], placed: bool) {
         let input = StepInput::of(tools);
         let number = self.world.steps_made();
         let report = self.world.step(&if placed { input.placed() } else { input });

@@ -9,13 +9,13 @@ use glisson::haptics::trocar::mechanism::Mechanism;
 use glisson::haptics::trocar::statics::{efforts, felt};
 use glisson::haptics::trocar::teleoperation::{End, Teleoperation};
 use glisson::haptics::trocar::{
-    Arrangement, AxisEfforts, InstrumentTag, InstrumentType, Mapping, Placement, TrocarJoints, TrocarProfile,
-    Wrench,
+    Arrangement, AxisEfforts, InstrumentTag, InstrumentType, MOST_TROCARS, Mapping, Placement, TrocarJoints,
+    TrocarProfile, Wrench,
 };
 use glisson::haptics::{DeviceFault, ForceCommand, HapticDevice};
 use glisson::model::kind::ModelKind;
 use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
-use glisson::tool::{MAX_TOOLS, Tool, ToolInput};
+use glisson::tool::{Tool, ToolInput};
 use glisson::world::spec::{Region, Support, WorldSpec};
 use glisson::world::{StepInput, World};
 use glisson_runtime::devices::trocar_board::{
@@ -144,17 +144,17 @@ fn four_trocars(outcome: &mut Outcome) -> anyhow::Result<()> {
     let first = above();
     let corner_m = first.to_world_m(DVec3::new(-0.05, -0.05, 0.0));
     let corner = Placement { pivot_in_world_m: corner_m, ..first };
-    let stand = Arrangement::adjacent(profile, corner, MAX_TOOLS)?;
+    let stand = Arrangement::adjacent(profile, corner, MOST_TROCARS)?;
     let inserted = |insertion_m: f64| TrocarJoints { insertion_m, ..TrocarJoints::default() };
     let start = inserted(ABOVE_M - TIP_RADIUS_M);
     let mut stations = Vec::new();
     for placement in stand.placements() {
         stations.push(Station::new(*placement, &start, Mapping::VirtualWork)?);
     }
-    let mut world = world(stand.placements(), &[start; MAX_TOOLS], TICK_S)?;
+    let mut world = world(stand.placements(), &[start; MOST_TROCARS], TICK_S)?;
     for k in 0..1500 {
         let share = (f64::from(k) * TICK_S).min(1.0);
-        let mut tools = Vec::with_capacity(MAX_TOOLS);
+        let mut tools = Vec::with_capacity(MOST_TROCARS);
         for station in &mut stations {
             station.hand(inserted(start.insertion_m + 0.035 * share));
             tools.push(station.read()?);

@@ -250,6 +250,11 @@ impl Anatomy {
         }
     }
 
+    /// The ends of the gall bladder's axis, neck and fundus [m].
+    pub(super) fn gall_bladder_ends_m(&self) -> [DVec3; 2] {
+        self.gall_bladder.ends_m
+    }
+
     /// The liver with all that lies inside it: negative inside.
     pub(super) fn liver(&self, p: DVec3) -> f64 {
         let lobes = smooth_union(self.right_lobe.at(p), self.middle_lobe.at(p), 20e-3);

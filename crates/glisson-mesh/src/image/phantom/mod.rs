@@ -241,6 +241,11 @@ impl PhantomPlaces {
         self.anatomy.middle_m(tissue)
     }
 
+    /// The ends of the gall bladder's axis [m]: neck and fundus, each the middle of the ball that closes it.
+    pub fn gall_bladder_ends_m(&self) -> [DVec3; 2] {
+        self.anatomy.gall_bladder_ends_m()
+    }
+
     /// Where the way from a place inside the liver, straight along a unit vector, leaves it [m]; none from outside.
     pub fn way_out_of_liver_m(&self, from_m: DVec3, toward: DVec3) -> Option<DVec3> {
         let f = |away_m: f64| self.anatomy.liver(from_m + toward * away_m);

@@ -32,6 +32,10 @@ pub struct Bond {
     pub stiffness_n_per_m: f64,
     /// Damping over stiffness [s].
     pub damping_s: f64,
+    /// Whether edges and hot tips part it.
+    pub can_be_cut: bool,
+    /// Pull that tears it [N]; infinite for one that nothing tears.
+    pub strength_n: f64,
 }
 
 /// The triangle's frame: first edge, normal, across.
@@ -53,8 +57,7 @@ impl Bond {
         let [node, a, b, c] = nodes.map(|n| rest_m[n.index()]);
         let offset_m = node - (a * at[0] + b * at[1] + c * at[2]);
         let offset_m = DVec3::from_array(frame([a, b, c]).map(|axis| axis.dot(offset_m)));
-        let weights = [1.0, -at[0], -at[1], -at[2]];
-        Self { nodes, weights, kind: BondKind::Glue { offset_m }, stiffness_n_per_m, damping_s }
+        Self::new(nodes, at, BondKind::Glue { offset_m }, stiffness_n_per_m, damping_s)
     }
 
     /// A ligament, slack up to its length at rest.
@@ -67,8 +70,14 @@ impl Bond {
     ) -> Self {
         let [node, a, b, c] = nodes.map(|n| rest_m[n.index()]);
         let slack_length_m = node.distance(a * at[0] + b * at[1] + c * at[2]);
+        Self::new(nodes, at, BondKind::Ligament { slack_length_m }, stiffness_n_per_m, damping_s)
+    }
+
+    /// One that nothing parts.
+    fn new(nodes: [NodeId; 4], at: [f64; 3], kind: BondKind, stiffness_n_per_m: f64, damping_s: f64) -> Self {
         let weights = [1.0, -at[0], -at[1], -at[2]];
-        Self { nodes, weights, kind: BondKind::Ligament { slack_length_m }, stiffness_n_per_m, damping_s }
+        let (can_be_cut, strength_n) = (false, f64::INFINITY);
+        Self { nodes, weights, kind, stiffness_n_per_m, damping_s, can_be_cut, strength_n }
     }
 }
 
@@ -83,6 +92,8 @@ pub(super) struct BondRow {
     pub(super) yields_m_per_n: f64,
     /// Of a ligament: direction from the place to the node, or zero where it is slack.
     pull_along: Option<DVec3>,
+    /// Whether it holds: it was not parted, and all its nodes are on the surface.
+    pub(super) is_whole: bool,
 }
 
 impl BondRow {
@@ -97,7 +108,28 @@ impl BondRow {
             opening_m: DVec3::ZERO,
             yields_m_per_n: 0.0,
             pull_along: None,
+            is_whole,
         }
+    }
+
+    /// It holds no more.
+    pub(super) fn part(&mut self) {
+        self.is_whole = false;
+        self.sides.weights = [0.0; 4];
+    }
+
+    /// Its two ends [m]; none of one that holds no more.
+    pub(super) fn ends_m(&self, positions_m: &[DVec3]) -> Option<[DVec3; 2]> {
+        let [node, a, b, c] = self.sides.vertices.map(|v| positions_m[v as usize]);
+        let [_, wa, wb, wc] = self.sides.weights;
+        self.is_whole.then(|| [node, -(a * wa + b * wb + c * wc)])
+    }
+
+    /// How hard a force on the node pulls the two sides apart or along each other [N]: what presses them together does not count.
+    pub(super) fn pull_n(&self, force_n: DVec3, positions_m: &[DVec3]) -> f64 {
+        let [_, a, b, c] = self.sides.vertices.map(|v| positions_m[v as usize]);
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        (force_n - normal * force_n.dot(normal).max(0.0)).length()
     }
 
     /// The row at these places after a step of `dt_s`.
@@ -108,6 +140,10 @@ impl BondRow {
         velocities_m_per_s: &[DVec3],
         dt_s: f64,
     ) {
+        if !self.is_whole {
+            (self.opening_m, self.yields_m_per_n) = (DVec3::ZERO, 0.0);
+            return;
+        }
         let apart_m: DVec3 = self.sides.sides().map(|(v, w)| positions_m[v] * w).sum();
         let way_m = self.sides.relative_m_per_s(velocities_m_per_s) * dt_s;
         let damped = bond.damping_s / (dt_s + bond.damping_s);
@@ -135,6 +171,7 @@ impl BondRow {
     /// The nearest force on the node that the bond can exert.
     pub(super) fn project(&self, force_n: DVec3) -> DVec3 {
         match self.pull_along {
+            _ if !self.is_whole => DVec3::ZERO,
             None => force_n,
             Some(along) => along * force_n.dot(along).min(0.0),
         }

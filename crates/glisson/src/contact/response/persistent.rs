@@ -60,6 +60,8 @@ pub struct ContactMemory {
     of_contacts: Vec<NodalForce>,
     /// Force of each bond [N].
     of_bonds: Vec<DVec3>,
+    /// Bonds that were parted, ascending.
+    parted: Vec<u32>,
     /// The forces on nodes, ascending.
     on_nodes: Vec<NodalForce>,
     rho_n_per_m: f64,
@@ -104,6 +106,7 @@ pub struct BodyContact {
     // What lasts.
     of_vertex_n: Vec<DVec3>,
     of_bond_n: Vec<DVec3>,
+    is_parted: Vec<bool>,
     acted: Vec<NodalForce>,
     rho_n_per_m: f64,
     // Rows: contacts, then bonds.
@@ -143,6 +146,7 @@ impl Clone for BodyContact {
             velocities_m_per_s: self.velocities_m_per_s.clone(),
             of_vertex_n: self.of_vertex_n.clone(),
             of_bond_n: self.of_bond_n.clone(),
+            is_parted: self.is_parted.clone(),
             acted,
             rho_n_per_m: self.rho_n_per_m,
             openings_m: self.openings_m.clone(),
@@ -219,6 +223,7 @@ impl BodyContact {
             velocities_m_per_s: none(n),
             of_vertex_n: none(n),
             of_bond_n: none(bonds.len()),
+            is_parted: vec![false; bonds.len()],
             acted: Vec::with_capacity(n),
             rho_n_per_m: 0.0,
             openings_m: none(n_rows),
@@ -257,6 +262,9 @@ impl BodyContact {
         for (force_n, before_n) in self.of_bond_n.iter_mut().zip(&memory.of_bonds) {
             *force_n = *before_n;
         }
+        for &bond in &memory.parted {
+            self.part_bond(bond as usize);
+        }
         let Self { acted, nodes, .. } = self;
         acted.extend(memory.on_nodes.iter().filter(|force| vertex(nodes, force.node).is_some()));
         self.rho_n_per_m = memory.rho_n_per_m;
@@ -271,12 +279,43 @@ impl BodyContact {
                 .map(|(&node, &force_n)| NodalForce { node, force_n })
                 .collect(),
             of_bonds: self.of_bond_n.clone(),
+            parted: self.parted().collect(),
             on_nodes: self.acted.clone(),
             rho_n_per_m: self.rho_n_per_m,
         }
     }
 
-    /// Forgets all forces.
+    /// The bonds that were parted, ascending.
+    fn parted(&self) -> impl Iterator<Item = u32> + '_ {
+        (0..).zip(&self.is_parted).filter(|(_, is_parted)| **is_parted).map(|(bond, _)| bond)
+    }
+
+    fn part_bond(&mut self, bond: usize) {
+        self.is_parted[bond] = true;
+        self.of_bond_n[bond] = DVec3::ZERO;
+        self.bond_rows[bond].part();
+    }
+
+    /// The bonds that hold, by their numbers, with their ends in the last step [m].
+    pub fn bonds_m(&self) -> impl Iterator<Item = (usize, [DVec3; 2])> + '_ {
+        let ends = self.bond_rows.iter().map(|row| row.ends_m(&self.positions_m));
+        ends.enumerate().filter_map(|(bond, ends_m)| Some((bond, ends_m?)))
+    }
+
+    /// Parts the bonds that can be cut and that `meets` takes by their ends in the last step [m]; answers how many.
+    pub fn part_bonds(&mut self, meets: impl Fn([DVec3; 2]) -> bool) -> usize {
+        let mut n_parted = 0;
+        for bond in 0..self.bonds.len() {
+            let ends_m = self.bond_rows[bond].ends_m(&self.positions_m);
+            if self.bonds[bond].can_be_cut && ends_m.is_some_and(&meets) {
+                self.part_bond(bond);
+                n_parted += 1;
+            }
+        }
+        n_parted
+    }
+
+    /// Forgets all forces; what was parted stays so.
     pub fn forget(&mut self) {
         self.contacts.clear();
         self.of_vertex_n.fill(DVec3::ZERO);
@@ -293,7 +332,8 @@ impl BodyContact {
         let of_contacts = of_contacts.map(|(node, force_n)| (*node, *force_n));
         let on_nodes = self.acted.iter().map(|force| (force.node, force.force_n));
         let of_nodes = of_contacts.chain(on_nodes).flat_map(|(node, f)| [f64::from(node.0), f.x, f.y, f.z]);
-        of_nodes.chain(self.of_bond_n.iter().flat_map(|f| f.to_array())).chain([self.rho_n_per_m])
+        let of_bonds = self.of_bond_n.iter().flat_map(|f| f.to_array());
+        of_nodes.chain(of_bonds).chain(self.parted().map(f64::from)).chain([self.rho_n_per_m])
     }
 
     /// How it is done.
@@ -571,6 +611,13 @@ impl BodyContact {
         }
         let first = self.contacts.len();
         self.of_bond_n.copy_from_slice(&self.forces_n[first..first + self.bonds.len()]);
+        for bond in 0..self.bonds.len() {
+            let pull_n = self.bond_rows[bond].pull_n(self.of_bond_n[bond], &self.positions_m);
+            if pull_n > self.bonds[bond].strength_n {
+                self.part_bond(bond);
+                self.forces_n[first + bond] = DVec3::ZERO;
+            }
+        }
         self.collect(false);
         std::mem::swap(&mut self.acted, &mut self.list);
     }

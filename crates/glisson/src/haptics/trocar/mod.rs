@@ -23,6 +23,6 @@ pub use encoders::{EncoderSample, JointReader, NotHomed};
 pub use identification::{InstrumentTag, InstrumentType};
 pub use kinematics::{Axis, JointRates, N_AXES, TrocarJoints, TrocarPose};
 pub use motors::{AxisLimits, MotorTorques, Saturation, Transmission};
-pub use placement::{Arrangement, Placement};
+pub use placement::{Arrangement, MOST_TROCARS, Placement};
 pub use profiles::TrocarProfile;
 pub use statics::{AxisEfforts, ContactForce, Mapping, Wrench};

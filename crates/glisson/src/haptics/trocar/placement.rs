@@ -3,7 +3,7 @@
 use super::kinematics::{TrocarJoints, TrocarPose};
 use super::profiles::TrocarProfile;
 use super::statics::ContactForce;
-use crate::math::{DMat3, DVec3};
+use crate::math::{DMat3, DVec3, segment_distance};
 use crate::tool::ToolInput;
 use crate::tool::pose::ToolFrame;
 use glam::DQuat;
@@ -159,24 +159,11 @@ impl Arrangement {
             let (placement, direction) = (&self.placements[pair[i]], joints[i].direction());
             [-outside_m, joints[i].insertion_m].map(|along_m| placement.to_world_m(direction * along_m))
         });
-        segment_distance_m(ends[0], ends[1])
+        segment_distance(ends[0], ends[1])
     }
 
     /// What all of them are.
     pub fn profile(&self) -> &TrocarProfile {
         &self.profile
     }
-}
-
-/// Distance of two segments [m] (Ericson, Real-Time Collision Detection, 2005, s. 5.1.9).
-fn segment_distance_m([p0, p1]: [DVec3; 2], [q0, q1]: [DVec3; 2]) -> f64 {
-    let (u, v, w) = (p1 - p0, q1 - q0, p0 - q0);
-    let (a, b, c, d, e) = (u.dot(u), u.dot(v), v.dot(v), u.dot(w), v.dot(w));
-    let share = |over: f64, under: f64| if under > 0.0 { (over / under).clamp(0.0, 1.0) } else { 0.0 };
-    let mut s = share(b * e - c * d, a * c - b * b);
-    let mut t = share(b * s + e, c);
-    // The end of the second segment that t was brought back to has its own nearest point on the first.
-    s = share(b * t - d, a);
-    t = share(b * s + e, c);
-    (w + u * s - v * t).length()
 }

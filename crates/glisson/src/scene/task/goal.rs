@@ -1,6 +1,7 @@
 //! What a stage of a task wants: a table of goals, one row each.
 
 use super::super::reader::{SceneError, Section, Value};
+use super::TaskScene;
 use super::line::{LineSource, read_ends, read_line};
 use super::tool_name::read_tool;
 use crate::math::DVec3;
@@ -69,6 +70,11 @@ pub enum GoalSource {
         /// The other [m].
         to_m: DVec3,
     },
+    /// No strand of an attachment holds two bodies together any more.
+    Detach {
+        /// The bodies, by their numbers.
+        bodies: [usize; 2],
+    },
     /// A ball of tissue, such as a tumour, is cut loose from the rest of its organ.
     Excise {
         /// Its middle [m].
@@ -91,6 +97,8 @@ pub enum GoalSource {
     Clip {
         /// How many.
         n_clips: u32,
+        /// Where on a vessel at rest, and how near [m]; anywhere when absent.
+        near_m: Option<(DVec3, f64)>,
     },
     /// It bleeds no more than this.
     Bleed {
@@ -110,18 +118,18 @@ impl GoalSource {
 struct GoalRow {
     /// Its key in a stage.
     key: &'static str,
-    read: fn(&mut Section<'_>, &[Tool]) -> Result<GoalSource, SceneError>,
+    read: fn(&mut Section<'_>, &TaskScene<'_>) -> Result<GoalSource, SceneError>,
 }
 
 /// The goal of a stage: the table of the one key of [`GOALS`] that is there.
-pub(super) fn read_goal(stage: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
+pub(super) fn read_goal(stage: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
     let mut goal = None;
     for row in GOALS {
         let Some(mut table) = stage.section(row.key)? else { continue };
         if goal.is_some() {
             return Err(table.wrong_table(row.key, "a second goal".into(), "one goal a stage".into()));
         }
-        goal = Some((row.read)(&mut table, tools)?);
+        goal = Some((row.read)(&mut table, scene)?);
         table.finish()?;
     }
     let keys: Vec<&'static str> = GOALS.iter().map(|row| row.key).collect();
@@ -137,13 +145,14 @@ const GOALS: &[GoalRow] = &[
     GoalRow { key: "lift", read: read_lift },
     GoalRow { key: "cut", read: read_cut },
     GoalRow { key: "part", read: read_part },
+    GoalRow { key: "detach", read: read_detach },
     GoalRow { key: "excise", read: read_excise },
     GoalRow { key: "see", read: read_see },
     GoalRow { key: "clip", read: read_clip },
     GoalRow { key: "bleed", read: read_bleed },
 ];
 
-const GOAL_EXAMPLE: &str = "touch = { tool = \"probe\" }; exactly one of reach, touch, mark, grasp, lift, cut, part, excise, see, clip, bleed";
+const GOAL_EXAMPLE: &str = "touch = { tool = \"probe\" }; exactly one of reach, touch, mark, grasp, lift, cut, part, detach, excise, see, clip, bleed";
 const POINT: &str = "point = [\"0 mm\", \"-50 mm\", \"0 mm\"]";
 const WITHIN: &str = "within = \"5 mm\"";
 
@@ -165,18 +174,18 @@ fn read_near(table: &mut Section<'_>) -> Result<Option<(DVec3, f64)>, SceneError
     }
 }
 
-fn read_reach(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
-    let tool = read_tool(table, tools)?;
+fn read_reach(table: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
+    let tool = read_tool(table, scene.tools)?;
     let point_m = table.required_point("point", POINT)?;
     Ok(GoalSource::Reach { tool, point_m, within_m: table.required_length("within", WITHIN)? })
 }
 
-fn read_touch(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
-    Ok(GoalSource::Touch { tool: read_tool(table, tools)?, near_m: read_near(table)? })
+fn read_touch(table: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
+    Ok(GoalSource::Touch { tool: read_tool(table, scene.tools)?, near_m: read_near(table)? })
 }
 
-fn read_mark(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
-    let tool = read_tool(table, tools)?;
+fn read_mark(table: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
+    let tool = read_tool(table, scene.tools)?;
     let near_m = table.required_point("near", "near = [\"0 mm\", \"-50 mm\", \"0 mm\"]")?;
     Ok(GoalSource::Mark { tool, near_m, within_m: table.required_length("within", WITHIN)? })
 }
@@ -184,40 +193,40 @@ fn read_mark(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, Scen
 /// An instrument whose jaws hold tissue.
 fn read_holding_tool(
     table: &mut Section<'_>,
-    tools: &[Tool],
+    scene: &TaskScene<'_>,
     goal: &'static str,
 ) -> Result<usize, SceneError> {
-    let tool = read_tool(table, tools)?;
-    if tools[tool].kind.holds() {
+    let tool = read_tool(table, scene.tools)?;
+    if scene.tools[tool].kind.holds() {
         return Ok(tool);
     }
-    let found = format!("with the {}", tools[tool].kind.name());
+    let found = format!("with the {}", scene.tools[tool].kind.name());
     Err(table.wrong_table(goal, found, "an instrument whose jaws hold tissue, such as a grasper".into()))
 }
 
-fn read_grasp(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
-    Ok(GoalSource::Grasp { tool: read_holding_tool(table, tools, "grasp")?, near_m: read_near(table)? })
+fn read_grasp(table: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
+    Ok(GoalSource::Grasp { tool: read_holding_tool(table, scene, "grasp")?, near_m: read_near(table)? })
 }
 
-fn read_lift(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
-    let tool = read_holding_tool(table, tools, "lift")?;
+fn read_lift(table: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
+    let tool = read_holding_tool(table, scene, "lift")?;
     let point_m = table.required_point("point", POINT)?;
     let by_m = table.required_length("by", "by = \"20 mm\"")?;
     Ok(GoalSource::Lift { tool, point_m, by_m, direction: table.direction("direction")? })
 }
 
 /// Whether there is an instrument that divides tissue.
-fn check_cuts(table: &Section<'_>, tools: &[Tool], goal: &'static str) -> Result<(), SceneError> {
+fn check_cuts(table: &Section<'_>, scene: &TaskScene<'_>, goal: &'static str) -> Result<(), SceneError> {
     let cuts = |tool: &Tool| tool.kind.edge_cuts().is_some() || tool.kind.burning().is_some();
-    if tools.iter().any(|tool| cuts(tool) || tool.kind.parting_jaws().is_some()) {
+    if scene.tools.iter().any(|tool| cuts(tool) || tool.kind.parting_jaws().is_some()) {
         return Ok(());
     }
     let allowed = "a scalpel, scissors, a hook or a cautery among the instruments".into();
     Err(table.wrong_table(goal, "without an instrument that cuts".into(), allowed))
 }
 
-fn read_cut(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
-    check_cuts(table, tools, "cut")?;
+fn read_cut(table: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
+    check_cuts(table, scene, "cut")?;
     let line = read_line(table)?;
     let within_m = table.required_length("within", WITHIN)?;
     let share = match table.number("share")? {
@@ -232,22 +241,35 @@ fn wrong_share(table: &Section<'_>, share: f64, at: Value<'_>) -> SceneError {
     table.wrong_value(at, "share", share.to_string(), "more than 0, at most 1")
 }
 
-fn read_part(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
-    check_cuts(table, tools, "part")?;
+fn read_part(table: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
+    check_cuts(table, scene, "part")?;
     let (from_m, to_m) = read_ends(table)?;
     Ok(GoalSource::Part { from_m, to_m })
 }
 
-fn read_excise(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
-    check_cuts(table, tools, "excise")?;
+fn read_detach(table: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
+    let mut body = |key: &'static str, example: &'static str| -> Result<usize, SceneError> {
+        let (name, at) = table.string(key)?.ok_or_else(|| table.missing(key, example))?;
+        scene.bodies.iter().position(|body| body.name == name).ok_or_else(|| {
+            let names: Vec<&str> = scene.bodies.iter().map(|body| body.name.as_str()).collect();
+            let allowed = if names.is_empty() { "one of several bodies".into() } else { names.join(", ") };
+            table.wrong_value(at, key, format!("\"{name}\""), &allowed)
+        })
+    };
+    let bodies = [body("body", "body = \"gall bladder\"")?, body("from", "from = \"liver\"")?];
+    Ok(GoalSource::Detach { bodies })
+}
+
+fn read_excise(table: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
+    check_cuts(table, scene, "excise")?;
     let center_m = table.required_point("center", "center = [\"0 mm\", \"-30 mm\", \"0 mm\"]")?;
     Ok(GoalSource::Excise { center_m, radius_m: table.required_length("radius", "radius = \"12 mm\"")? })
 }
 
-fn read_see(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, SceneError> {
-    let tool = read_tool(table, tools)?;
-    if tools[tool].kind.optics().is_none() {
-        let found = format!("with the {}", tools[tool].kind.name());
+fn read_see(table: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
+    let tool = read_tool(table, scene.tools)?;
+    if scene.tools[tool].kind.optics().is_none() {
+        let found = format!("with the {}", scene.tools[tool].kind.name());
         return Err(table.wrong_table("see", found, "an instrument of the kind endoscope".into()));
     }
     let point_m = table.required_point("point", POINT)?;
@@ -256,12 +278,12 @@ fn read_see(table: &mut Section<'_>, tools: &[Tool]) -> Result<GoalSource, Scene
     Ok(GoalSource::See { tool, point_m, within_rad, nearer_than_m })
 }
 
-fn read_clip(table: &mut Section<'_>, _: &[Tool]) -> Result<GoalSource, SceneError> {
-    let n_clips = table.whole_number("count", 1..=MOST_CLIPS)?;
-    Ok(GoalSource::Clip { n_clips: n_clips.map_or(1, |n| n as u32) })
+fn read_clip(table: &mut Section<'_>, _: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
+    let n_clips = table.whole_number("count", 1..=MOST_CLIPS)?.map_or(1, |n| n as u32);
+    Ok(GoalSource::Clip { n_clips, near_m: read_near(table)? })
 }
 
-fn read_bleed(table: &mut Section<'_>, _: &[Tool]) -> Result<GoalSource, SceneError> {
+fn read_bleed(table: &mut Section<'_>, _: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
     let below = table.positive("below", Dimension::VolumeFlow)?;
     let below_m3_per_s = below.ok_or_else(|| table.missing("below", "below = \"1 ml/min\""))?;
     Ok(GoalSource::Bleed { below_m3_per_s })

@@ -26,11 +26,10 @@ pub(super) fn read_line(table: &mut Section<'_>) -> Result<LineSource, SceneErro
     if let Some(circle) = table.section("circle")? {
         return read_circle(circle);
     }
-    let Some(points) = table.lengths("points", (3..=3, POINTS))? else {
+    let Some(points_m) = table.points("points", POINTS)? else {
         let (from_m, to_m) = read_ends(table)?;
         return Ok(LineSource { points_m: vec![from_m, to_m], is_closed: false });
     };
-    let points_m: Vec<DVec3> = points.iter().map(|point| DVec3::from_slice(point)).collect();
     let is_closed = table.flag("closed")?.unwrap_or(false);
     let least = if is_closed { 3 } else { 2 };
     let is_near = |a: &DVec3, b: &DVec3| a.distance(*b) < LEAST_APART_M;

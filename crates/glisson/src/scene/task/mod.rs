@@ -13,6 +13,7 @@ pub use gate::GateSource;
 pub use goal::GoalSource;
 pub use line::LineSource;
 
+use super::bodies::SceneBody;
 use super::reader::{SceneError, Section};
 use crate::tool::Tool;
 use crate::units::Dimension;
@@ -68,12 +69,19 @@ const LONGEST_S: f64 = 3600.0;
 /// Stages, and events, of a task at most: a choice.
 const MOST_STAGES: usize = 50;
 
-/// The task of a scene with these instruments; `has_seed`: whether its organ is of a patient whose seed is written there.
-pub(super) fn read_task(
-    mut section: Section<'_>,
-    tools: &[Tool],
-    has_seed: bool,
-) -> Result<TaskSource, SceneError> {
+/// The scene of a task.
+pub(in crate::scene) struct TaskScene<'a> {
+    /// Its instruments.
+    pub(in crate::scene) tools: &'a [Tool],
+    /// Its bodies; none for one organ alone.
+    pub(in crate::scene) bodies: &'a [SceneBody],
+    /// Whether its organ is of a patient whose seed is written there.
+    pub(in crate::scene) has_seed: bool,
+}
+
+/// The task of a scene.
+pub(super) fn read_task(mut section: Section<'_>, scene: &TaskScene<'_>) -> Result<TaskSource, SceneError> {
+    let tools = scene.tools;
     let title = section.string("title")?.ok_or_else(|| section.missing("title", "title = \"Palpation\""))?.0;
     let about = section.string("about")?.map(|about| about.0).unwrap_or_default();
     let begins_in_theatre = read_view(&mut section, tools)?;
@@ -88,7 +96,7 @@ pub(super) fn read_task(
         return Err(section.wrong_table("stage", found, format!("at most {MOST_STAGES}")));
     }
     let mut stages: Vec<StageSource> =
-        sections.into_iter().map(|stage| read_stage(stage, tools)).collect::<Result<_, _>>()?;
+        sections.into_iter().map(|stage| read_stage(stage, scene)).collect::<Result<_, _>>()?;
     let mut gate = section.section("gate")?.map(read_gate).transpose()?.unwrap_or_default();
     let seed = section.whole_number("seed", 0..=u64::from(u32::MAX))?.unwrap_or(0);
     let events = section.sections("event")?;
@@ -113,7 +121,7 @@ pub(super) fn read_task(
         return Err(section.wrong_table("margin", "without anything to excise".into(), allowed));
     }
     let patients = read_patients(&mut section)?;
-    if !patients.is_empty() && !has_seed {
+    if !patients.is_empty() && !scene.has_seed {
         let allowed = "beside phantom = { organ, seed = ... }, whose seed they take the place of".into();
         return Err(section.wrong_table("patients", "without a seed in phantom".into(), allowed));
     }
@@ -148,13 +156,13 @@ fn read_view(section: &mut Section<'_>, tools: &[Tool]) -> Result<bool, SceneErr
     }
 }
 
-fn read_stage(mut section: Section<'_>, tools: &[Tool]) -> Result<StageSource, SceneError> {
+fn read_stage(mut section: Section<'_>, scene: &TaskScene<'_>) -> Result<StageSource, SceneError> {
     let title =
         section.string("title")?.ok_or_else(|| section.missing("title", "title = \"Touch the liver\""))?;
     let hint = section.string("hint")?.map(|hint| hint.0);
     let hint_after_s = section.positive("hint_after", Dimension::Time)?.unwrap_or(HINT_AFTER_S);
     let hold_s = section.positive("hold", Dimension::Time)?.unwrap_or(0.0);
-    let goal = goal::read_goal(&mut section, tools)?;
+    let goal = goal::read_goal(&mut section, scene)?;
     section.finish()?;
     Ok(StageSource { title: title.0, hint, hint_after_s, hold_s, goal })
 }

@@ -58,6 +58,8 @@ pub(super) enum CannotBe {
     NoTissue { point_m: DVec3 },
     /// A ball holds the middle of no tetrahedron.
     SmallBall,
+    /// Two bodies are not attached to each other.
+    NotAttached { bodies: [usize; 2] },
 }
 
 /// A trigger that was pressed since the last look, and where its tip touched then.
@@ -67,8 +69,11 @@ pub(super) struct Press {
     pub(super) touched_at_rest_m: Option<DVec3>,
 }
 
-fn n_clips_set(world: &World) -> usize {
-    world.vessels().map_or(0, Vessels::n_clips)
+/// Clips that are set, anywhere or near a place at rest.
+fn n_clips_set(world: &World, near_m: Option<(DVec3, f64)>) -> usize {
+    let is_near =
+        |clip_m: &DVec3| near_m.is_none_or(|(near_m, within_m)| clip_m.distance(near_m) <= within_m);
+    world.vessels().map_or(0, |vessels| vessels.clips_at_rest_m().filter(is_near).count())
 }
 
 impl Goal {
@@ -84,8 +89,16 @@ impl Goal {
             | GoalSource::Excise { center_m: point_m, .. } => vec![*point_m],
             GoalSource::Part { from_m, to_m } => vec![*from_m, *to_m],
             GoalSource::Cut { line, .. } => line.points_m.clone(),
-            GoalSource::Reach { .. } | GoalSource::Clip { .. } | GoalSource::Bleed { .. } => Vec::new(),
+            GoalSource::Reach { .. }
+            | GoalSource::Detach { .. }
+            | GoalSource::Clip { .. }
+            | GoalSource::Bleed { .. } => Vec::new(),
         };
+        if let GoalSource::Detach { bodies } = source
+            && world.n_strands_between(bodies)[0] == 0
+        {
+            return Err(CannotBe::NotAttached { bodies });
+        }
         let places = points_m
             .into_iter()
             .map(|point_m| Landmark::find(point_m, world).ok_or(CannotBe::NoTissue { point_m }));
@@ -100,6 +113,7 @@ impl Goal {
             }
             _ => None,
         };
+        let near_clips_m = if let GoalSource::Clip { near_m, .. } = source { near_m } else { None };
         Ok(Self {
             source,
             places,
@@ -110,7 +124,7 @@ impl Goal {
             topology_version: None,
             pieces: Pieces::default(),
             are_apart: false,
-            n_clips_before: n_clips_set(world),
+            n_clips_before: n_clips_set(world, near_clips_m),
         })
     }
 
@@ -193,8 +207,12 @@ impl Goal {
                 let holds = eye.sees(place_m) && off_rad <= within_rad && is_near;
                 Look { share: (within_rad / off_rad.max(1e-9)).min(1.0), holds, mistake: None }
             }
-            GoalSource::Clip { n_clips } => {
-                let set = n_clips_set(world).saturating_sub(self.n_clips_before);
+            GoalSource::Detach { bodies } => {
+                let [n_now, n_before] = world.n_strands_between(bodies);
+                Look::towards((n_before - n_now) as f64, n_before as f64)
+            }
+            GoalSource::Clip { n_clips, near_m } => {
+                let set = n_clips_set(world, near_m).saturating_sub(self.n_clips_before);
                 Look::towards(set as f64, f64::from(n_clips))
             }
             GoalSource::Bleed { below_m3_per_s } => {

@@ -67,6 +67,18 @@ pub enum TaskError {
         /// What it is called.
         title: String,
     },
+    /// Nothing holds the bodies together.
+    #[error(
+        "stage {stage} of the task, \"{title}\": nothing attaches {} to {}; give them an [[attachment]]", names[0], names[1]
+    )]
+    NotAttached {
+        /// Which stage, from 1.
+        stage: usize,
+        /// What it is called.
+        title: String,
+        /// The bodies.
+        names: [String; 2],
+    },
 }
 
 /// Where something is to be done, for a picture.
@@ -107,6 +119,7 @@ impl TaskMark {
             }
             GoalSource::Mark { .. }
             | GoalSource::Part { .. }
+            | GoalSource::Detach { .. }
             | GoalSource::Clip { .. }
             | GoalSource::Bleed { .. } => return None,
         };
@@ -201,6 +214,10 @@ impl TaskRun {
                     TaskError::NoTissue { stage, title: title.clone(), point_m }
                 }
                 CannotBe::SmallBall => TaskError::SmallBall { stage, title: title.clone() },
+                CannotBe::NotAttached { bodies } => {
+                    let names = bodies.map(|body| world.spec().bodies[body].name.clone());
+                    TaskError::NotAttached { stage, title: title.clone(), names }
+                }
             })?;
             if matches!(of.goal, GoalSource::Part { .. }) && goal.look(world, &[]).holds {
                 return Err(TaskError::Apart { stage, title });

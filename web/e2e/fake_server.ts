@@ -142,6 +142,7 @@ export class FakeSimulator {
           bleeding: null,
           contactPoints: this.watchers.has(client) ? organ.contactPoints() : null,
           threads: [],
+          clips: [],
           inside: null,
           tools: [
             {

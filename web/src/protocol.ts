@@ -1,5 +1,5 @@
 /**
- * The wire protocol of docs/protocol.md, version 11: decoding of every message, encoding of the viewer's.
+ * The wire protocol of docs/protocol.md, version 12: decoding of every message, encoding of the viewer's.
  *
  * Decoders check every length and index against the bytes really there before anything is allocated,
  * and throw nothing but {@link ProtocolError}. Units: metres, seconds, newtons; frame: LPS.
@@ -11,6 +11,7 @@ import { BLOOD_BYTES, decodeBlood, type Bleeding } from "./blood";
 import { bodiesAt, type BodyInfo } from "./body_info";
 import { contactPointsBytes, decodeContactPoints, type ContactPoints } from "./contact_points";
 import { decodeClass, decodeMarks, type ClassNews, type MarksNews } from "./classroom";
+import { clipsBytes, decodeClips, type Clip } from "./clips";
 import { codedBytes, decodeCoded, decodeKey, type Key } from "./coded_positions";
 import { decodeInside, insideBytes, type FieldKind, type InsideSnapshot } from "./inside/snapshot";
 import type { CutPlane } from "./inside/plane";
@@ -20,7 +21,7 @@ import { decodeRole, decodeTiming, type Role, type Timing } from "./timing";
 import { MOST_TOOLS, toolsAt, type JawsInfo, type OpticsInfo, type ToolInfo } from "./tool_info";
 import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Fields, type Vec3 } from "./fields";
 
-export const PROTOCOL_VERSION = 11;
+export const PROTOCOL_VERSION = 12;
 /** Bytes `GLSN` read as a little-endian u32. */
 export const MAGIC = 0x4e534c47;
 export const KIND_TOPOLOGY = 1;
@@ -33,6 +34,7 @@ export const FLAG_CONTACT_POINTS = 8;
 export const FLAG_THREADS = 16;
 export const FLAG_INSIDE = 32;
 export const FLAG_CODED = 64;
+export const FLAG_CLIPS = 256;
 
 export const TOPOLOGY_HEADER_BYTES = 24;
 export const SNAPSHOT_HEADER_BYTES = 64;
@@ -124,6 +126,8 @@ export interface SnapshotHeader {
   /** Null unless the viewer asked for them. */
   readonly contactPoints: ContactPoints | null;
   readonly threads: readonly Thread[];
+  /** On vessels. */
+  readonly clips: readonly Clip[];
   /** Null unless the viewer looks at it. */
   readonly inside: InsideSnapshot | null;
 }
@@ -325,7 +329,9 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView, held: Key | null): 
   const hasContacts = (flags & FLAG_CONTACT_POINTS) !== 0;
   const threads = contacts + (hasContacts ? contactPointsBytes(view, contacts) : 0);
   const hasThreads = (flags & FLAG_THREADS) !== 0;
-  const inside = threads + (hasThreads ? threadsBytes(view, threads) : 0);
+  const clips = threads + (hasThreads ? threadsBytes(view, threads) : 0);
+  const hasClips = (flags & FLAG_CLIPS) !== 0;
+  const inside = clips + (hasClips ? clipsBytes(view, clips) : 0);
   const hasInside = (flags & FLAG_INSIDE) !== 0;
   checkLength(
     buffer.byteLength,
@@ -376,6 +382,7 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView, held: Key | null): 
       bleeding: decodeBlood(view, blood, nBlood),
       contactPoints: hasContacts ? decodeContactPoints(view, contacts) : null,
       threads: hasThreads ? decodeThreads(view, threads) : [],
+      clips: hasClips ? decodeClips(view, clips) : [],
       inside: hasInside ? decodeInside(view, inside, nVertices) : null,
     },
     positions_m,

@@ -43,6 +43,7 @@ const BARE: Snapshot = {
     bleeding: { lost_m3: 0.25, rate_m3_per_s: 0, clips: 0, ends: [] },
     contactPoints: null,
     threads: [],
+    clips: [],
     inside: null,
   },
   positions_m: new Float32Array(0),

@@ -41,6 +41,7 @@ const SNAPSHOT: Snapshot = {
     },
     contactPoints: null,
     threads: [],
+    clips: [],
     inside: null,
     tools: [
       {
@@ -87,9 +88,20 @@ const WITH_THREADS: Snapshot = {
   },
 };
 
+const WITH_CLIPS: Snapshot = {
+  ...WITH_THREADS,
+  header: {
+    ...WITH_THREADS.header,
+    clips: [
+      { position_m: [0.5, 0.25, 0], along: [1, 0, 0], legs: [0, 0, 1], radius_m: 0.125 },
+      { position_m: [0.25, 2, 0], along: [0, 1, 0], legs: [-1, 0, 0], radius_m: 0.5 },
+    ],
+  },
+};
+
 const HELLO: Hello = {
   type: "hello",
-  protocol: 11,
+  protocol: 12,
   scene: {
     name: "liver",
     model: "pre-computed",
@@ -242,11 +254,20 @@ describe("binary frames", () => {
     expect(() => decodeBinary(buffer)).toThrow(/needle of 9|bytes/);
   });
 
+  it("snapshot: clips come back, after the threads", () => {
+    const buffer = encodeSnapshot(WITH_CLIPS);
+    expect(buffer.byteLength).toBe(encodeSnapshot(WITH_THREADS).byteLength + 4 + 2 * 40);
+    expect(new DataView(buffer).getUint32(48, true) & 256).toBe(256);
+    expect(decodeBinary(buffer)).toEqual(WITH_CLIPS);
+    new DataView(buffer).setFloat32(buffer.byteLength - 4, NaN, true);
+    expect(() => decodeBinary(buffer)).toThrow("clip 1 is not finite");
+  });
+
   it("any mutation and any truncation gives a message or a ProtocolError, nothing else", () => {
     const next = random(2463534242);
     let refused = 0;
     for (let round = 0; round < 20_000; round++) {
-      const snapshot = round % 4 === 1 ? SNAPSHOT : WITH_THREADS;
+      const snapshot = round % 4 === 1 ? SNAPSHOT : WITH_CLIPS;
       const whole = new Uint8Array(round % 2 === 0 ? encodeTopology(TOPOLOGY) : encodeSnapshot(snapshot));
       const bytes = next() < 0.5 ? whole : whole.slice(0, Math.floor(next() * (whole.length + 1)));
       for (let k = Math.floor(next() * 6); k >= 0 && bytes.length > 0; k--) {
@@ -261,7 +282,8 @@ describe("binary frames", () => {
           const points = decoded.header.contactPoints?.points ?? [];
           const numbers = points.flatMap((p) => [...p.place_m, ...p.normal, ...p.force_n]);
           const places = decoded.header.threads.flatMap((thread) => [...thread.nodes_m, ...thread.clips_m].flat());
-          expect([...decoded.positions_m, ...numbers, ...places].every((x) => Number.isFinite(x))).toBe(true);
+          const clips = decoded.header.clips.flatMap(({ position_m, along, legs, radius_m }) => [...position_m, ...along, ...legs, radius_m]);
+          expect([...decoded.positions_m, ...numbers, ...places, ...clips].every((x) => Number.isFinite(x))).toBe(true);
         }
       } catch (error) {
         if (!(error instanceof ProtocolError)) throw error;
@@ -284,7 +306,7 @@ describe("text messages", () => {
   });
 
   it("another protocol version is refused, with both numbers", () => {
-    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 11/);
+    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 12/);
   });
 
   it.each(["", "null", "[]", "7", '"hello"', "{", '{"type":"hello"}', '{"type":7}', '{"type":"goodbye"}'])(

@@ -85,6 +85,7 @@ fn snapshot(side: u32, frame: usize) -> Snapshot {
             rate_m3_per_s: 1e-7,
             n_clips: 0,
             ends,
+            clips: Vec::new(),
         },
         threads: if version_of(frame) == 2 { vec![thread] } else { Vec::new() },
     }
@@ -99,7 +100,7 @@ fn hello(side: u32) -> serde_json::Value {
         })
     };
     json!({
-        "type": "hello", "protocol": 11,
+        "type": "hello", "protocol": 12,
         "scene": {
             "name": "A sheet", "model": "implicit", "material": "liver", "time_step_s": 1.0 / 300.0,
             "gravity_m_per_s2": [0, 0, 0], "n_nodes": topology.nodes.len(), "n_tetrahedra": 0, "n_vessels": 1,

@@ -142,7 +142,8 @@ export class FakeSimulator {
           bleeding: null,
           contactPoints: this.watchers.has(client) ? organ.contactPoints() : null,
           threads: [],
-    strands_m: new Float32Array(),
+          strands_m: new Float32Array(),
+          clips: [],
           inside: null,
           tools: [
             {

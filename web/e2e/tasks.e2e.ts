@@ -3,7 +3,7 @@
  * and leads to the report. The program is in GLISSON_PROGRAM.
  */
 import { execFileSync } from "node:child_process";
-import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
@@ -67,6 +67,24 @@ const HOT = DARK.replace('name = "probe"\n', 'name = "probe"\nkind = "hook"\ncut
   'path = [{ time = "60 s", tip = ["-20 mm", "-60 mm", "0 mm"] }]',
   'path = [{ time = "1 s", tip = ["0 mm", "-33 mm", "0 mm"], trigger = 1 }, { time = "60 s", tip = ["5 mm", "-32 mm", "0 mm"], trigger = 1 }]',
 );
+
+/** The duct of `clip_and_cut` without the clip that would have saved the blood, and a suction tube that comes to its end, sucks and rinses. */
+const BLEEDING = `${readFileSync(new URL("../../tasks/clip_and_cut.toml", import.meta.url), "utf8").replace("clip = true", "")}
+[[tool]]
+name = "suction tube"
+kind = "suction"
+tip_radius = "2.5 mm"
+home_tip = ["40 mm", "-50 mm", "-10 mm"]
+home_shaft = [0.7, -1, -0.3]
+path = [
+  { time = "9 s", tip = ["40 mm", "-50 mm", "-10 mm"] },
+  { time = "10 s", tip = ["2 mm", "-5 mm", "0 mm"] },
+  { time = "10.1 s", tip = ["2 mm", "-5 mm", "0 mm"], trigger = 1 },
+  { time = "14 s", tip = ["2 mm", "-5 mm", "0 mm"] },
+  { time = "14.1 s", tip = ["2 mm", "-5 mm", "0 mm"], jaw = 0 },
+  { time = "60 s", tip = ["2 mm", "-5 mm", "0 mm"] },
+]
+`;
 
 /** Mean brightness, 0 to 255, around the middle of the endoscope's picture. */
 async function brightness(page: Page): Promise<number> {
@@ -142,6 +160,42 @@ describe.skipIf(program === undefined)("the tasks in the page", () => {
       await page.screenshot({ path: resultFile("task-hot.png") });
       await page.keyboard.press("Shift+R");
       await expect.poll(async () => (await field()).burns, { timeout: 60_000 }).toBe(0);
+      expect(problems).toEqual([]);
+      await page.close();
+    } finally {
+      await stop();
+    }
+  });
+
+  it("a clip is seen where it was set, and suction takes the blood of an open end away", { timeout: 180_000 }, async () => {
+    const scene = join(out, "bleeding.toml");
+    writeFileSync(scene, BLEEDING);
+    const { url, stop } = await serve(scene, out);
+    try {
+      const { page, problems } = await openPage(browser);
+      await page.goto(url);
+      await waitForOrgan(page);
+      await page.keyboard.press("Shift+S");
+      const drops = () => page.evaluate(() => window.glisson!.theatre.field.drops);
+      const suction = () => page.evaluate(() => window.glisson!.header!.tools[3]);
+      await expect.poll(() => page.evaluate(() => window.glisson!.header!.clips), { timeout: 60_000 }).toHaveLength(1);
+      const [clip] = await page.evaluate(() => window.glisson!.header!.clips);
+      // 10 mm to the left of the middle, along the duct, its legs along the applier.
+      clip.position_m.forEach((x, k) => expect(Math.abs(x - [0.009, 0, 0][k])).toBeLessThan(2e-3));
+      expect(Math.abs(clip.along[0])).toBeGreaterThan(0.95);
+      expect(clip.radius_m).toBeCloseTo(1.5e-3, 6);
+      await expect.poll(drops, { timeout: 60_000 }).toBeGreaterThan(8);
+      await page.screenshot({ path: resultFile("task-bleeding.png") });
+      await expect.poll(async () => (await suction()).trigger, { timeout: 60_000 }).toBe(1);
+      await expect.poll(drops, { timeout: 30_000 }).toBeLessThan(8);
+      expect(await page.evaluate(() => window.glisson!.header!.bleeding!.rate_m3_per_s)).toBeGreaterThan(0);
+      await expect.poll(async () => (await suction()).jaw, { timeout: 60_000 }).toBe(0);
+      await page.waitForTimeout(1500);
+      await page.screenshot({ path: resultFile("task-suction.png") });
+      // From outside, too.
+      await page.keyboard.press("n");
+      await page.waitForTimeout(2000);
+      await page.screenshot({ path: resultFile("task-suction-outside.png") });
       expect(problems).toEqual([]);
       await page.close();
     } finally {

@@ -82,6 +82,7 @@ describe.skipIf(url === undefined)(`the theatre view of ${url}`, () => {
     }
     expect(camera.field_of_view_rad).toBeCloseTo(found.hello.tools[ENDOSCOPE].optics!.field_of_view_rad, 9);
     await page.waitForTimeout(1500);
+    expect((await theatre()).ligament).toBe(true);
     await page.screenshot({ path: resultFile("theatre.png") });
     const middle = await luminance(circle.x, circle.y, circle.radius);
     const corner = await luminance(circle.x - 0.8 * circle.radius, circle.y - 0.8 * circle.radius, 20);

@@ -1,7 +1,9 @@
 /** Encoding of the server's frames: for tests and for the test server. */
 import { BLOOD_BYTES, bloodNumbers } from "./blood";
+import { encodeClips } from "./clips";
 import { encodeContactPoints } from "./contact_points";
 import {
+  FLAG_CLIPS,
   FLAG_CONTACT,
   FLAG_CONTACT_POINTS,
   FLAG_GRASP,
@@ -46,15 +48,15 @@ export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
   const blood = first + 4 * positions_m.length;
   const bloodRecords = bloodNumbers(header.bleeding);
   const contacts = encodeContactPoints(header.contactPoints);
-  const threads = encodeThreads(header.threads);
-  const strands = encodeStrands(header.strands_m);
-  const buffer = new ArrayBuffer(blood + 4 * bloodRecords.length + contacts.length + threads.length + strands.length);
+  // In this order behind the blood.
+  const parts = [contacts, encodeThreads(header.threads), encodeClips(header.clips), encodeStrands(header.strands_m)];
+  const buffer = new ArrayBuffer(parts.reduce((sum, { length }) => sum + length, blood + 4 * bloodRecords.length));
   const view = new DataView(buffer);
   [MAGIC, KIND_SNAPSHOT, header.version, header.organ].forEach((word, i) => view.setUint32(4 * i, word, true));
   view.setBigUint64(16, BigInt(header.step), true);
   const scalars = [header.time_s, header.rate_steps_per_s, header.realTimeFactor];
   scalars.forEach((x, i) => view.setFloat64(24 + 8 * i, x, true));
-  const flags = (header.paused ? FLAG_PAUSED : 0) | (header.contactPoints === null ? 0 : FLAG_CONTACT_POINTS) | (header.threads.length === 0 ? 0 : FLAG_THREADS) | (strands.length === 0 ? 0 : FLAG_STRANDS);
+  const flags = (header.paused ? FLAG_PAUSED : 0) | (header.contactPoints === null ? 0 : FLAG_CONTACT_POINTS) | (header.threads.length === 0 ? 0 : FLAG_THREADS) | (header.clips.length === 0 ? 0 : FLAG_CLIPS) | (header.strands_m.length === 0 ? 0 : FLAG_STRANDS);
   const words = [flags, header.tools.length, positions_m.length / 3, (4 * bloodRecords.length) / BLOOD_BYTES];
   words.forEach((word, i) => view.setUint32(48 + 4 * i, word, true));
   header.tools.forEach((tool, n) => {
@@ -68,8 +70,10 @@ export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
   });
   positions_m.forEach((x, i) => view.setFloat32(first + 4 * i, x, true));
   bloodRecords.forEach((x, i) => view.setFloat32(blood + 4 * i, x, true));
-  new Uint8Array(buffer).set(contacts, blood + 4 * bloodRecords.length);
-  new Uint8Array(buffer).set(threads, blood + 4 * bloodRecords.length + contacts.length);
-  new Uint8Array(buffer).set(strands, buffer.byteLength - strands.length);
+  let at = blood + 4 * bloodRecords.length;
+  for (const part of parts) {
+    new Uint8Array(buffer).set(part, at);
+    at += part.length;
+  }
   return buffer;
 }

@@ -1,6 +1,7 @@
 /** An instrument as it is shown: its parts with moving jaws, its trocar, the contact point and the force arrow. */
-import { ConeGeometry, CylinderGeometry, Group, Mesh, Quaternion, SphereGeometry, Vector3 } from "three";
-import { instrumentParts, trocarParts, type Part } from "./instruments/parts";
+import { ConeGeometry, CylinderGeometry, DoubleSide, Group, Mesh, MeshBasicMaterial, Quaternion, SphereGeometry, Vector3 } from "three";
+import { isRinsing } from "./field/suction";
+import { instrumentParts, JET_M, jetOf, trocarParts, type Part } from "./instruments/parts";
 import { Surfaces } from "./instruments/surfaces";
 import { solidMaterial } from "./materials";
 import type { ToolInfo, ToolState, Vec3 } from "./protocol";
@@ -25,6 +26,8 @@ export class Instrument {
   private readonly jaws: Group[] = [];
   /** In the abdominal wall, where the shaft goes through it. */
   private readonly trocar = new Group();
+  /** Water, while it rinses. */
+  readonly jet = new Group();
   private readonly arrow = new Group();
   private readonly arrowShaft: Mesh;
   private readonly arrowHead: Mesh;
@@ -59,6 +62,10 @@ export class Instrument {
       this.trocar.position.set(...tool.trocar_m);
       put(this.trocar, trocarParts(tool.shaft_radius_m));
     }
+
+    if (tool.kind === "suction") this.jet.add(new Mesh(jetOf(tool), new MeshBasicMaterial({ color: 0xbfd8de, transparent: true, opacity: 0.3, depthWrite: false, side: DoubleSide })));
+    this.jet.visible = false;
+    this.probe.add(this.jet);
 
     const amber = solidMaterial({ colour: 0xffa028, metal: 0, softness: 0.4, glow: 0.55 });
     this.arrowShaft = new Mesh(new CylinderGeometry(1, 1, 1, 20).rotateX(Math.PI / 2).translate(0, 0, 0.5), amber);
@@ -109,6 +116,7 @@ export class Instrument {
   show(header: ToolState): void {
     this.pose(header.tip_m, header.shaft, header.roll_rad, header.shownFurtherOut_m);
     this.openJaws(header.jaw);
+    this.jet.visible = isRinsing(this.tool.kind, header);
     const force = new Vector3(...(this.felt_n ?? header.forceOnTool_n));
     const length = force.length() * this.arrowScale_m_per_n;
     this.arrow.visible = this.showsForces && length > SMALLEST_ARROW_M;
@@ -127,6 +135,11 @@ export class Instrument {
       this.contactMark.position.set(...header.contactPoint_m);
       this.contactMark.scale.setScalar(Math.max(0.45 * this.tipRadius_m, 0.0015));
     }
+  }
+
+  /** Tissue is so far ahead of the tip's centre: water goes no further. */
+  endJet(ahead_m: number): void {
+    this.jet.scale.z = Math.min(1, Math.max(ahead_m, this.tipRadius_m) / JET_M);
   }
 
   setForces(shown: boolean): void {

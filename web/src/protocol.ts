@@ -11,6 +11,7 @@ import { BLOOD_BYTES, decodeBlood, type Bleeding } from "./blood";
 import { bodiesAt, type BodyInfo } from "./body_info";
 import { contactPointsBytes, decodeContactPoints, type ContactPoints } from "./contact_points";
 import { decodeClass, decodeMarks, type ClassNews, type MarksNews } from "./classroom";
+import { clipsBytes, decodeClips, type Clip } from "./clips";
 import { codedBytes, decodeCoded, decodeKey, type Key } from "./coded_positions";
 import { decodeInside, insideBytes, type FieldKind, type InsideSnapshot } from "./inside/snapshot";
 import type { CutPlane } from "./inside/plane";
@@ -35,6 +36,7 @@ export const FLAG_THREADS = 16;
 export const FLAG_INSIDE = 32;
 export const FLAG_CODED = 64;
 export const FLAG_STRANDS = 128;
+export const FLAG_CLIPS = 256;
 
 export const TOPOLOGY_HEADER_BYTES = 24;
 export const SNAPSHOT_HEADER_BYTES = 64;
@@ -128,6 +130,8 @@ export interface SnapshotHeader {
   readonly threads: readonly Thread[];
   /** Both ends of each strand of attachments between bodies, three numbers each. */
   readonly strands_m: Float32Array;
+  /** On vessels. */
+  readonly clips: readonly Clip[];
   /** Null unless the viewer looks at it. */
   readonly inside: InsideSnapshot | null;
 }
@@ -329,7 +333,9 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView, held: Key | null): 
   const hasContacts = (flags & FLAG_CONTACT_POINTS) !== 0;
   const threads = contacts + (hasContacts ? contactPointsBytes(view, contacts) : 0);
   const hasThreads = (flags & FLAG_THREADS) !== 0;
-  const inside = threads + (hasThreads ? threadsBytes(view, threads) : 0);
+  const clips = threads + (hasThreads ? threadsBytes(view, threads) : 0);
+  const hasClips = (flags & FLAG_CLIPS) !== 0;
+  const inside = clips + (hasClips ? clipsBytes(view, clips) : 0);
   const hasInside = (flags & FLAG_INSIDE) !== 0;
   const strands = inside + (hasInside ? insideBytes(view, inside) : 0);
   const hasStrands = (flags & FLAG_STRANDS) !== 0;
@@ -382,6 +388,7 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView, held: Key | null): 
       bleeding: decodeBlood(view, blood, nBlood),
       contactPoints: hasContacts ? decodeContactPoints(view, contacts) : null,
       threads: hasThreads ? decodeThreads(view, threads) : [],
+      clips: hasClips ? decodeClips(view, clips) : [],
       inside: hasInside ? decodeInside(view, inside, nVertices) : null,
       strands_m: hasStrands ? decodeStrands(view, strands) : new Float32Array(),
     },

@@ -11,6 +11,7 @@ import {
 } from "three";
 import { BleedingMarks } from "./bleeding";
 import { ClassMarks } from "./class_marks";
+import { ClipMarks } from "./clip_marks";
 import { OperatingField } from "./field/field";
 import { ContactMarks } from "./contact_marks";
 import { isFull, setFullDetail, type DetailChoice } from "./detail";
@@ -28,6 +29,7 @@ import { cameraPosition, FIELD_OF_VIEW_DEG, orbitThatShows, viewAxes, type Orbit
 import { Organ, type SurfaceStyle } from "./organ";
 import { REST_AFTER_MS, REST_RATIO } from "./resolution";
 import type { Hello, Snapshot, SnapshotHeader, Topology } from "./protocol";
+import { savedPicture } from "./saved_picture";
 
 /** Another view than the orbiting one from outside. Places on the canvas in CSS pixels; null where there is none yet. */
 export interface OtherView {
@@ -48,8 +50,6 @@ export interface OrganPick extends Pick {
 
 /** Sharper than this costs more than it shows. */
 const LARGEST_PIXEL_RATIO = 2;
-/** Behind the organ in a saved picture: the page's background. */
-export const BACKGROUND = { centre: "#1d2832", edge: "#080b0f" };
 
 /** True if WebGL is drawn by the processor (SwiftShader, llvmpipe, the basic Windows adapter). */
 function drawsInSoftware(): boolean {
@@ -82,6 +82,7 @@ export class Scene3d {
   readonly field: OperatingField;
   private readonly bleeding = new BleedingMarks();
   private readonly threads = new ThreadMarks();
+  private readonly clips = new ClipMarks();
   /** Noise of what is made up of tissue. */
   readonly tissue = tissueTexture();
   readonly patterns = patternTexture();
@@ -112,8 +113,8 @@ export class Scene3d {
     this.material = organMaterial(this.tissue, this.patterns);
     this.inside = new InsidePicture(this.material);
     this.field = new OperatingField(this.material);
-    const { bleeding, contactMarks, taskMarks, classMarks, threads, field } = this;
-    this.scene.add(this.inside.group, ...[bleeding, contactMarks, taskMarks, classMarks, threads, field].map((part) => part.group));
+    const { bleeding, contactMarks, taskMarks, classMarks, threads, clips, field } = this;
+    this.scene.add(this.inside.group, ...[bleeding, contactMarks, taskMarks, classMarks, threads, clips, field].map((part) => part.group));
     this.camera.up.set(0, 0, 1);
     this.orbit = orbitThatShows(new Vector3(-0.1, -0.1, -0.1), new Vector3(0.1, 0.1, 0.1), 1);
     this.resize();
@@ -232,11 +233,19 @@ export class Scene3d {
     this.instruments.forEach((instrument, i) => {
       const tool = header.tools[i];
       if (tool !== undefined) instrument.show(tool);
+      if (instrument.jet.visible) instrument.endJet(this.ahead_m(instrument));
     });
     this.bleeding.show(header.bleeding?.ends ?? []);
     this.threads.show(header.threads);
     this.threads.strands.show(header.strands_m);
+    this.clips.show(header.clips, this.organs.get(0) ?? null);
     this.shadeByTool();
+  }
+
+  /** How far ahead of an instrument's tip tissue is; not finite where none is. */
+  private ahead_m(instrument: Instrument): number {
+    const hits = [...this.organs.values()].map(({ positions_m, triangles }) => pickTriangle(instrument.tip(), instrument.shaft().negate(), positions_m, triangles));
+    return Math.min(...hits.map((hit) => hit?.distance_m ?? Infinity));
   }
 
   /** Hands hold instruments as devices: their force is what the arrows show from the next picture on. */
@@ -375,23 +384,6 @@ export class Scene3d {
   /** The picture as PNG: background, scene, and `overlay` in its lower right corner. */
   async picture(overlay: HTMLCanvasElement): Promise<Blob> {
     this.render(REST_RATIO);
-    const copy = document.createElement("canvas");
-    copy.width = this.canvas.width;
-    copy.height = this.canvas.height;
-    const context = copy.getContext("2d");
-    if (context === null) throw new Error("the browser gives no canvas to draw the picture on");
-    const { width, height } = copy;
-    const back = context.createRadialGradient(width / 2, 0.45 * height, 0, width / 2, 0.45 * height, 0.75 * width);
-    back.addColorStop(0, BACKGROUND.centre);
-    back.addColorStop(1, BACKGROUND.edge);
-    context.fillStyle = back;
-    context.fillRect(0, 0, width, height);
-    context.drawImage(this.canvas, 0, 0);
-    const scale = width / this.width;
-    const [w, h] = [overlay.clientWidth * scale, overlay.clientHeight * scale];
-    context.drawImage(overlay, width - w, height - h, w, h);
-    return new Promise((resolve, reject) =>
-      copy.toBlob((blob) => (blob === null ? reject(new Error("the picture could not be written")) : resolve(blob)), "image/png"),
-    );
+    return savedPicture(this.canvas, this.width, overlay);
   }
 }

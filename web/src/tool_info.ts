@@ -20,7 +20,7 @@ export interface OpticsInfo {
 
 export interface ToolInfo {
   readonly name: string;
-  /** probe, grasper, scissors, scalpel, hook, cautery, clipper or endoscope. */
+  /** probe, grasper, scissors, scalpel, hook, cautery, clipper, endoscope or suction. */
   readonly kind: string;
   readonly tip_radius_m: number;
   readonly shaft_radius_m: number;

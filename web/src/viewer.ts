@@ -369,7 +369,7 @@ export class Viewer {
   }
 
   private showHeader(header: SnapshotHeader): void {
-    const drawn = (h: SnapshotHeader | null): string => (h === null ? "" : JSON.stringify([h.tools, h.bleeding?.ends, h.contactPoints, h.threads, h.strands_m.length]));
+    const drawn = (h: SnapshotHeader | null): string => (h === null ? "" : JSON.stringify([h.tools, h.bleeding?.ends, h.contactPoints, h.threads, h.clips, h.strands_m.length]));
     if (drawn(header) !== drawn(this.header)) this.sceneChanged = true;
     this.contacts.take(header.contactPoints);
     this.looks.sound.take(header, this.hello);

@@ -87,6 +87,66 @@ describe("blood on a surface", () => {
   });
 });
 
+describe("suction and rinsing", () => {
+  const total = (flow: BloodFlow): number => [...flow.drops, ...flow.puddles].reduce((sum, { volume_m3 }) => sum + volume_m3, 0);
+  /** Blood that has run into the valley below x = 0.03. */
+  function bloody(): { flow: BloodFlow; surface: BloodySurface } {
+    const [flow, surface] = [flowOn(), valley()];
+    for (let i = 0; i < 30; i++) flow.advance(0.1, bleeds(0.03, 20), surface);
+    for (let i = 0; i < 40; i++) flow.advance(0.1, [], surface);
+    expect(flow.isMoving).toBe(false);
+    return { flow, surface };
+  }
+  const at = (drop: { place: { vertices: readonly [number, number, number]; weights: readonly [number, number, number] } }, { positions_m }: BloodySurface) => placeIn(positions_m, drop.place, new Vector3());
+
+  it("takes away what is near to the tip, and nothing else", () => {
+    const { flow, surface } = bloody();
+    const tip = new Vector3(0.001, 0.001, 0.002);
+    const [near, far] = [true, false].map((isNear) => flow.drops.filter((drop) => at(drop, surface).distanceTo(tip) < 8e-3 === isNear));
+    expect(Math.min(near.length, far.length)).toBeGreaterThan(3);
+    flow.advance(0.1, [], surface, { sucked_m: [tip], rinsed_m: [] });
+    expect(flow.drops).toEqual(far);
+    // It is seen that it goes, and then that nothing moves.
+    expect(flow.isMoving).toBe(true);
+    flow.advance(0.1, [], surface, { sucked_m: [tip], rinsed_m: [] });
+    expect(flow.isMoving).toBe(false);
+  });
+
+  it("takes puddles in, no faster than it can, and not from far", () => {
+    const flow = flowOn();
+    flow.puddles.push({ middle_m: new Vector3(0, 0, GROUND_M), volume_m3: 20e-6 });
+    const suck = (x_m: number, z_m: number, time_s: number) => flow.advance(time_s, [], valley(2), { sucked_m: [new Vector3(x_m, 0, z_m)], rinsed_m: [] });
+    suck(0.2, GROUND_M, 0.5);
+    suck(0, GROUND_M + 0.02, 0.5);
+    expect(total(flow)).toBe(20e-6);
+    suck(0.03, GROUND_M, 0.4);
+    expect(total(flow)).toBeCloseTo(10e-6, 9);
+    suck(0, GROUND_M, 2);
+    expect(flow.puddles).toEqual([]);
+  });
+
+  it("keeps a bleeding end dry, as long as it sucks", () => {
+    const [flow, surface] = [flowOn(), valley()];
+    const washing = { sucked_m: [new Vector3(0.03, 0.001, 0.016)], rinsed_m: [] };
+    for (let i = 0; i < 40; i++) flow.advance(0.1, bleeds(0.03, 60), surface, washing);
+    expect(total(flow)).toBe(0);
+    for (let i = 0; i < 10; i++) flow.advance(0.1, bleeds(0.03, 60), surface);
+    expect(total(flow)).toBeGreaterThan(0);
+  });
+
+  it("rinses blood off the tissue, down to the puddles: none of it is lost", () => {
+    const { flow, surface } = bloody();
+    const before = total(flow);
+    const place = new Vector3(0.001, 0.001, 0.002);
+    const near = () => flow.drops.filter((drop) => at(drop, surface).distanceTo(place) < 10e-3).length;
+    expect(near()).toBeGreaterThan(3);
+    for (let i = 0; i < 10; i++) flow.advance(0.1, [], surface, { sucked_m: [], rinsed_m: [place] });
+    expect(near()).toBe(0);
+    expect(total(flow)).toBeCloseTo(before, 15);
+    expect(flow.puddles.length).toBe(1);
+  });
+});
+
 describe("smoke", () => {
   it("rises from what burns, fades in the simulation's time, and is bounded", () => {
     const smoke = new Smoke();
@@ -98,5 +158,16 @@ describe("smoke", () => {
     smoke.advance(3.3, [], DOWN);
     expect(smoke.count).toBe(0);
     expect(smoke.points.visible).toBe(false);
+  });
+
+  it("is sucked away where suction is near", () => {
+    const [free, near, far] = [new Smoke(), new Smoke(), new Smoke()];
+    for (let i = 0; i < 20; i++) {
+      free.advance(0.05, [new Vector3()], DOWN);
+      near.advance(0.05, [new Vector3()], DOWN, [new Vector3(0, 0.005, 0.01)]);
+      far.advance(0.05, [new Vector3()], DOWN, [new Vector3(0, 0.1, 0)]);
+    }
+    expect(far.count).toBe(free.count);
+    expect(near.count).toBeLessThan(0.5 * free.count);
   });
 });

@@ -44,6 +44,7 @@ const BARE: Snapshot = {
     contactPoints: null,
     threads: [],
     strands_m: new Float32Array(),
+    clips: [],
     inside: null,
   },
   positions_m: new Float32Array(0),

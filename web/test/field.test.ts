@@ -2,6 +2,7 @@ import { Vector3 } from "three";
 import { describe, expect, it } from "vitest";
 import { isFull, nextDetail } from "../src/detail";
 import { Burns, hotTools } from "../src/field/burns";
+import { washingOf } from "../src/field/suction";
 import type { BodyInfo, Hello, SnapshotHeader, ToolInfo, ToolState } from "../src/protocol";
 import { bedDepth_m, downOf } from "../src/theatre/scenery";
 import { lookOf, looksOf } from "../src/tissue/looks";
@@ -40,6 +41,16 @@ describe("burns", () => {
     const header = { tools: [state(1, true), state(1, true), state(1, false, true), state(0, true), state(1, false)] } as unknown as SnapshotHeader;
     expect(hotTools(header, { tools })).toEqual([0, 2]);
   });
+});
+
+it("suction tubes suck while their trigger is pressed, and rinse ahead of them while their lever is", () => {
+  const state = (trigger: number, jaw: number) =>
+    ({ trigger, jaw, tip_m: [0, 0.5, 0], shaft: [0, 0, 1], shownFurtherOut_m: [0.25, 0, 0] }) as unknown as ToolState;
+  const tools = ["suction", "suction", "grasper", "suction"].map((kind) => ({ kind }) as ToolInfo);
+  const header = { tools: [state(1, 1), state(0, 0), state(1, 0), state(0, 1)] } as unknown as SnapshotHeader;
+  const { sucked_m, rinsed_m } = washingOf(header, { tools });
+  expect(sucked_m.map((at) => at.toArray())).toEqual([[0.25, 0.5, 0]]);
+  expect(rinsed_m.map((at) => at.toArray())).toEqual([[0.25, 0.5, -0.006]]);
 });
 
 describe("looks", () => {

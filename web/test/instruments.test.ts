@@ -1,7 +1,8 @@
 import { Box3, Matrix4 } from "three";
 import { describe, expect, it } from "vitest";
-import { instrumentParts, type Part } from "../src/instruments/parts";
-import type { ToolInfo } from "../src/protocol";
+import { instrumentParts, jetOf, type Part } from "../src/instruments/parts";
+import { Instrument } from "../src/instrument";
+import type { ToolInfo, ToolState } from "../src/protocol";
 
 const JAWS = { length_m: 0.02, width_m: 0.005, greatest_opening_rad: 1 };
 
@@ -33,7 +34,7 @@ function boxOf(parts: readonly Part[], turn_rad = 0): Box3 {
 }
 
 describe("instruments", () => {
-  it.each(["probe", "grasper", "scissors", "scalpel", "hook", "cautery", "clipper", "endoscope"])("%s is whole, and ends at its tip", (kind) => {
+  it.each(["probe", "grasper", "scissors", "scalpel", "hook", "cautery", "clipper", "endoscope", "suction"])("%s is whole, and ends at its tip", (kind) => {
     const { fixed, jaws, hinge_m } = instrumentParts(tool(kind));
     for (const { geometry } of [...fixed, ...jaws.flat()]) {
       for (const name of ["position", "normal"]) {
@@ -56,6 +57,30 @@ describe("instruments", () => {
     // Turned as the instrument opens them, they part.
     expect(boxOf(jaws[0], -0.5).max.x).toBeGreaterThan(0.008);
     expect(boxOf(jaws[1], 0.5).min.x).toBeLessThan(-0.008);
+  });
+
+  it("a suction tube has dark holes near its tip, and its jet goes ahead of it", () => {
+    const { fixed } = instrumentParts(tool("suction"));
+    const holes = boxOf(fixed.filter(({ look }) => look === "hole"));
+    expect(holes.min.z).toBeGreaterThan(-0.0015);
+    expect(holes.max.z).toBeLessThan(0.01);
+    const jet = boxOf([{ look: "glass", geometry: jetOf(tool("suction")) }]);
+    expect(jet.min.z).toBeCloseTo(-0.015, 6);
+    expect(jet.max.z).toBeLessThan(0);
+  });
+
+  it("a suction tube shows its jet while it rinses, as far as tissue; others have none", () => {
+    const state = (jaw: number) => ({ tip_m: [0, 0, 0], shaft: [0, 0, 1], roll_rad: 0, jaw, trigger: 1, forceOnTool_n: [0, 0, 0], contact: false, shownFurtherOut_m: [0, 0, 0] }) as unknown as ToolState;
+    const [suction, grasper] = ["suction", "grasper"].map((kind) => new Instrument(tool(kind)));
+    for (const [instrument, jaw, isShown] of [[suction, 1, false], [suction, 0, true], [grasper, 0, false]] as const) {
+      instrument.show(state(jaw));
+      expect(instrument.jet.visible).toBe(isShown);
+    }
+    for (const [ahead_m, end_m] of [[Infinity, -0.015], [0.005, -0.005], [1e-5, -0.0015]] as const) {
+      suction.endJet(ahead_m);
+      suction.group.updateMatrixWorld(true);
+      expect(new Box3().setFromObject(suction.jet, true).min.z).toBeCloseTo(end_m, 6);
+    }
   });
 
   it("blades of scissors pass each other, one at either side", () => {

@@ -42,6 +42,7 @@ const SNAPSHOT: Snapshot = {
     contactPoints: null,
     threads: [],
     strands_m: new Float32Array(),
+    clips: [],
     inside: null,
     tools: [
       {
@@ -88,9 +89,20 @@ const WITH_THREADS: Snapshot = {
   },
 };
 
-const WITH_STRANDS: Snapshot = {
+const WITH_CLIPS: Snapshot = {
   ...WITH_THREADS,
-  header: { ...WITH_THREADS.header, strands_m: Float32Array.of(1, 2, 3, 0.5, 0.25, 0, -1, 0, 0, 4, 5, 6) },
+  header: {
+    ...WITH_THREADS.header,
+    clips: [
+      { position_m: [0.5, 0.25, 0], along: [1, 0, 0], legs: [0, 0, 1], radius_m: 0.125 },
+      { position_m: [0.25, 2, 0], along: [0, 1, 0], legs: [-1, 0, 0], radius_m: 0.5 },
+    ],
+  },
+};
+
+const WITH_STRANDS: Snapshot = {
+  ...WITH_CLIPS,
+  header: { ...WITH_CLIPS.header, strands_m: Float32Array.of(1, 2, 3, 0.5, 0.25, 0, -1, 0, 0, 4, 5, 6) },
 };
 
 const HELLO: Hello = {
@@ -229,7 +241,7 @@ describe("binary frames", () => {
     ["a huge vertex count", (v: DataView) => v.setUint32(56, 0xffffffff, true), /needs .* bytes, found/],
     ["a huge count of open vessels", (v: DataView) => v.setUint32(60, 0xffffffff, true), /records of blood needs/],
     ["blood that is no number", (v: DataView) => v.setFloat32(280, NaN, true), /record 1 of blood is not finite/],
-    ["five instruments", (v: DataView) => v.setUint32(52, 5, true), /5 instruments; allowed: 1 to 4/],
+    ["six instruments", (v: DataView) => v.setUint32(52, 6, true), /6 instruments; allowed: 1 to 5/],
     ["an infinite force", (v: DataView) => v.setFloat64(144, Infinity, true), /force on the tool \(byte 144\)/],
     ["a step beyond 2^53", (v: DataView) => v.setBigUint64(16, 2n ** 60n, true), /above 2\^53/],
     ["a position that is no number", (v: DataView) => v.setFloat32(216 + 44, NaN, true), /vertex 3 is not finite/],
@@ -248,9 +260,18 @@ describe("binary frames", () => {
     expect(() => decodeBinary(buffer)).toThrow(/needle of 9|bytes/);
   });
 
-  it("snapshot: strands come back, after the threads", () => {
+  it("snapshot: clips come back, after the threads", () => {
+    const buffer = encodeSnapshot(WITH_CLIPS);
+    expect(buffer.byteLength).toBe(encodeSnapshot(WITH_THREADS).byteLength + 4 + 2 * 40);
+    expect(new DataView(buffer).getUint32(48, true) & 256).toBe(256);
+    expect(decodeBinary(buffer)).toEqual(WITH_CLIPS);
+    new DataView(buffer).setFloat32(buffer.byteLength - 4, NaN, true);
+    expect(() => decodeBinary(buffer)).toThrow("clip 1 is not finite");
+  });
+
+  it("snapshot: strands come back, after the clips", () => {
     const buffer = encodeSnapshot(WITH_STRANDS);
-    expect(buffer.byteLength).toBe(encodeSnapshot(WITH_THREADS).byteLength + 4 + 2 * 24);
+    expect(buffer.byteLength).toBe(encodeSnapshot(WITH_CLIPS).byteLength + 4 + 2 * 24);
     expect(decodeBinary(buffer)).toEqual(WITH_STRANDS);
     new DataView(buffer).setFloat32(buffer.byteLength - 4, Number.NaN, true);
     expect(() => decodeBinary(buffer)).toThrow(/strand .* not finite/);
@@ -275,7 +296,8 @@ describe("binary frames", () => {
           const points = decoded.header.contactPoints?.points ?? [];
           const numbers = points.flatMap((p) => [...p.place_m, ...p.normal, ...p.force_n]);
           const places = decoded.header.threads.flatMap((thread) => [...thread.nodes_m, ...thread.clips_m].flat());
-          expect([...decoded.positions_m, ...decoded.header.strands_m, ...numbers, ...places].every((x) => Number.isFinite(x))).toBe(true);
+          const clips = decoded.header.clips.flatMap(({ position_m, along, legs, radius_m }) => [...position_m, ...along, ...legs, radius_m]);
+          expect([...decoded.positions_m, ...decoded.header.strands_m, ...numbers, ...places, ...clips].every((x) => Number.isFinite(x))).toBe(true);
         }
       } catch (error) {
         if (!(error instanceof ProtocolError)) throw error;

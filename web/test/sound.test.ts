@@ -2,7 +2,7 @@ import { describe, expect, it } from "vitest";
 import type { ToolInfo, ToolState } from "../src/protocol";
 import { Score, SILENCE } from "../src/sound";
 
-const hello = { tools: [{ kind: "hook" }, { kind: "probe" }] as ToolInfo[] };
+const hello = { tools: [{ kind: "hook" }, { kind: "probe" }, { kind: "suction" }] as ToolInfo[] };
 const header = (time_s: number, triggers = [0, 0], ml_per_min = 0, paused = false) => ({
   time_s,
   paused,
@@ -25,6 +25,12 @@ describe("what sounds", () => {
     expect(score.take(header(0, [1, 0]), hello).cautery).toBe(true);
     expect(score.take(header(0, [0, 1]), hello).cautery).toBe(false);
     expect(score.take(header(9, [1, 0], 100, true), hello)).toEqual(SILENCE);
+  });
+
+  it("the hiss of a suction tube while it sucks, and of nothing else that is on", () => {
+    const score = new Score();
+    expect(score.take(header(0, [1, 1, 0]), hello).suction).toBe(false);
+    expect(score.take(header(0.1, [0, 0, 1]), hello)).toEqual({ ...SILENCE, suction: true });
   });
 
   it("the alarm while much bleeds, of two notes", () => {

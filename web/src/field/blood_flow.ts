@@ -1,12 +1,13 @@
 /**
  * Blood on the surface of an organ, for the eye alone: drops come out where vessels are open, as much as the simulation says, run
  * down the surface as gravity goes, leave a film behind, lie where it goes no further down, and fall where it hangs over; what falls
- * makes puddles below. A film of thickness h on a slope of angle a runs with W. Nusselt's speed, rho g h^2 sin(a) / (3 mu).
+ * makes puddles below. Suction takes it away, and rinsing washes it off. A film of thickness h on a slope of angle a runs with W. Nusselt's speed, rho g h^2 sin(a) / (3 mu).
  * Time goes in ticks of the simulation's time. Numbers of drops and puddles are bounded.
  */
 import { Vector3 } from "three";
 import type { BleedingEnd } from "../blood";
 import type { Topology } from "../protocol";
+import { NO_WASHING } from "./suction";
 import { nearestOf, nearestOnSurface, placeIn, type OnSurface } from "../on_surface";
 
 export const TICK_S = 0.02;
@@ -37,6 +38,11 @@ const ONE_PUDDLE_M = 0.03;
 /** How deep blood stands in a puddle [m]; no puddle is shown larger than that [m]. */
 export const PUDDLE_DEPTH_M = 2e-3;
 const MOST_PUDDLE_RADIUS_M = 0.07;
+/** What suction takes in, and what rinsing washes down [m3/s], and how near it has to be [m]: choices. */
+const SUCKS_M3_PER_S = 25e-6;
+const RINSES_M3_PER_S = 2e-6;
+const SUCKED_M = 8e-3;
+const RINSED_M = 10e-3;
 /** Ends nearer than this are the same from one snapshot to the next [m]. */
 const SAME_END_M = 0.006;
 
@@ -84,20 +90,25 @@ export class BloodFlow {
   private corners: number[][] | null = null;
   private readonly around = new Map<number, readonly number[]>();
   private owed_s = 0;
+  /** Some was taken away, or washed down, since the last snapshot. */
+  private isWashed = false;
+  private washing = NO_WASHING;
 
   /** Unit vector to where things fall, and where on the ground blood gathers that falls from a place. */
   constructor(private readonly down: Vector3, private readonly groundBelow: (from_m: Vector3) => Vector3) {}
 
-  /** Something runs, or comes out. */
+  /** Something runs, comes out, or is washed away. */
   get isMoving(): boolean {
-    return this.sources.length > 0 || this.drops.some(({ way }) => way !== null);
+    return this.isWashed || this.sources.length > 0 || this.drops.some(({ way }) => way !== null);
   }
 
   /** So much time has gone by in the simulation. */
-  advance(dt_s: number, ends: readonly BleedingEnd[], surface: BloodySurface): void {
+  advance(dt_s: number, ends: readonly BleedingEnd[], surface: BloodySurface, washing = NO_WASHING): void {
     this.adopt(surface);
     this.find(ends, surface);
     this.owed_s += dt_s;
+    this.isWashed = false;
+    this.washing = washing;
     for (; this.owed_s >= TICK_S; this.owed_s -= TICK_S) this.tick(surface);
   }
 
@@ -151,6 +162,14 @@ export class BloodFlow {
   private tick(surface: BloodySurface): void {
     for (const source of this.sources) this.bleed(source, surface);
     for (const drop of [...this.drops]) if (drop.way !== null) this.run(drop, surface);
+    for (const at_m of this.washing.rinsed_m) {
+      const washed_m3 = this.take(at_m, RINSED_M, RINSES_M3_PER_S * TICK_S, surface);
+      if (washed_m3 > 0) this.fall(at_m, washed_m3);
+    }
+    for (const at_m of this.washing.sucked_m) {
+      const most_m3 = SUCKS_M3_PER_S * TICK_S;
+      this.drain(at_m, most_m3 - this.take(at_m, SUCKED_M, most_m3, surface));
+    }
     // The oldest stains dry away.
     if (this.drops.length > MOST_DROPS) this.drops.splice(0, this.drops.length - MOST_DROPS);
   }
@@ -209,12 +228,45 @@ export class BloodFlow {
     other.volume_m3 = MOST_DROP_M3;
   }
 
+  /** Takes drops that are so near, the nearest first, and answers how much of the most that is asked for that was. */
+  private take(at_m: Vector3, reach_m: number, most_m3: number, { positions_m }: BloodySurface): number {
+    const near = this.drops.map((drop) => ({ drop, away_m: placeIn(positions_m, drop.place, new Vector3()).distanceTo(at_m) }))
+      .filter(({ away_m }) => away_m < reach_m).sort((a, b) => a.away_m - b.away_m);
+    let left_m3 = most_m3;
+    for (const { drop } of near) {
+      const taken_m3 = Math.min(drop.volume_m3, left_m3);
+      drop.volume_m3 -= taken_m3;
+      left_m3 -= taken_m3;
+      if (drop.volume_m3 <= 0) this.drops.splice(this.drops.indexOf(drop), 1);
+      if (left_m3 <= 0) break;
+    }
+    this.isWashed ||= near.length > 0;
+    return most_m3 - left_m3;
+  }
+
+  /** Takes from the puddles that a place is in, or beside. */
+  private drain(at_m: Vector3, most_m3: number): void {
+    let left_m3 = most_m3;
+    for (const puddle of [...this.puddles]) {
+      const way = at_m.clone().sub(puddle.middle_m);
+      const above_m = way.dot(this.down);
+      if (Math.abs(above_m) > SUCKED_M || way.addScaledVector(this.down, -above_m).length() > puddleRadius_m(puddle) + SUCKED_M) continue;
+      const taken_m3 = Math.min(puddle.volume_m3, left_m3);
+      puddle.volume_m3 -= taken_m3;
+      left_m3 -= taken_m3;
+      if (puddle.volume_m3 <= 0) this.puddles.splice(this.puddles.indexOf(puddle), 1);
+      this.isWashed = true;
+    }
+  }
+
   private drip(drop: Drop, at: Vector3): void {
     this.drops.splice(this.drops.indexOf(drop), 1);
     this.fall(at, drop.volume_m3);
   }
 
+  /** What falls where it is sucked does not come down. */
   private fall(from_m: Vector3, volume_m3: number): void {
+    if (this.washing.sucked_m.some((at_m) => at_m.distanceTo(from_m) < SUCKED_M)) return;
     const middle_m = this.groundBelow(from_m);
     const near = this.puddles.find((puddle) => puddle.middle_m.distanceTo(middle_m) < ONE_PUDDLE_M + 0.5 * puddleRadius_m(puddle));
     if (near !== undefined) near.volume_m3 += volume_m3;

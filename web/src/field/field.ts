@@ -11,6 +11,7 @@ import { BloodFlow } from "./blood_flow";
 import { BloodView } from "./blood_view";
 import { Burns, hotTools } from "./burns";
 import { Smoke } from "./smoke";
+import { washingOf, type Washing } from "./suction";
 
 /** Who jumps further than this in a recording has not seen what was left in between [s]. */
 const JUMP_S = 1;
@@ -69,8 +70,9 @@ export class OperatingField {
       const { contact, contactPoint_m, tip_m } = header.tools[tool];
       return { at_m: new Vector3(...(contact ? contactPoint_m : tip_m)), radius_m: this.hello!.tools[tool].tip_radius_m };
     });
-    const isNew = [this.heat(hot, organ, dt_s), this.bleed(header, organ, dt_s), this.smoke.count > 0 || hot.length > 0];
-    this.smoke.advance(dt_s, hot.map(({ at_m }) => at_m), this.down);
+    const washing = washingOf(header, this.hello);
+    const isNew = [this.heat(hot, organ, dt_s), this.bleed(header, organ, dt_s, washing), this.smoke.count > 0 || hot.length > 0];
+    this.smoke.advance(dt_s, hot.map(({ at_m }) => at_m), this.down, washing.sucked_m);
     return isNew.includes(true);
   }
 
@@ -82,11 +84,11 @@ export class OperatingField {
     return isNew;
   }
 
-  private bleed({ bleeding }: SnapshotHeader, organ: Organ, dt_s: number): boolean {
+  private bleed({ bleeding }: SnapshotHeader, organ: Organ, dt_s: number, washing: Washing): boolean {
     const { flow } = this;
     if (flow === null || bleeding === null) return false;
-    flow.advance(dt_s, bleeding.ends, organ);
-    if (flow.drops.length > 0 || flow.puddles.length > 0) this.blood.show(flow, organ.positions_m, this.down);
+    flow.advance(dt_s, bleeding.ends, organ, washing);
+    if (flow.isMoving || flow.drops.length > 0 || flow.puddles.length > 0) this.blood.show(flow, organ.positions_m, this.down);
     return flow.isMoving;
   }
 

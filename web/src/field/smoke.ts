@@ -1,6 +1,6 @@
 /**
- * Smoke where hot instruments are: puffs that rise against gravity, spread, and fade, in the time of the simulation. For the eye
- * alone; numbers are bounded.
+ * Smoke where hot instruments are: puffs that rise against gravity, spread, and fade, in the time of the simulation; suction takes
+ * them in. For the eye alone; numbers are bounded.
  */
 import { BufferAttribute, BufferGeometry, DynamicDrawUsage, NormalBlending, Points, ShaderMaterial, Vector3 } from "three";
 import { latticeValue } from "../noise";
@@ -13,6 +13,10 @@ const RISE_M_PER_S = 0.028;
 /** Radius of a puff when it comes, and by how much it grows [m, m/s]. */
 const RADIUS_M = 0.003;
 const GROWS_M_PER_S = 0.007;
+
+/** Suction takes in smoke that is so near to its tip [m]: there it is gone so much sooner. Choices. */
+const SUCKED_M = 0.025;
+const SOONER = 12;
 
 interface Puff {
   readonly at_m: Vector3;
@@ -81,11 +85,12 @@ export class Smoke {
     this.fill();
   }
 
-  /** So much time has gone by, and tissue smokes at these places. */
-  advance(dt_s: number, sources_m: readonly Vector3[], down: Vector3): void {
+  /** So much time has gone by, tissue smokes at these places, and smoke is sucked away at those. */
+  advance(dt_s: number, sources_m: readonly Vector3[], down: Vector3, sucked_m: readonly Vector3[] = []): void {
     if (this.puffs.length === 0 && sources_m.length === 0) return;
     for (const puff of this.puffs) {
-      puff.age_s += dt_s;
+      const isSucked = sucked_m.some((at_m) => at_m.distanceTo(puff.at_m) < SUCKED_M);
+      puff.age_s += isSucked ? SOONER * dt_s : dt_s;
       puff.at_m.addScaledVector(puff.drift_m_per_s, dt_s);
     }
     this.puffs = this.puffs.filter(({ age_s }) => age_s < LIFE_S);

@@ -20,6 +20,8 @@ export interface InstrumentParts {
 
 /** A blade's length where nothing tells it: the default of scenes [m]. */
 const BLADE_M = 0.02;
+/** How far a jet of water is shown [m]: as far as it rinses. */
+export const JET_M = 0.015;
 /** What the current of a hook may reach stands so far out of the insulation [m]. */
 const BARE_HOOK_M = 0.012;
 
@@ -81,11 +83,22 @@ function endoscopeEnd({ tip_radius_m: tip, optics }: ToolInfo): End {
   };
 }
 
+/** A straight tube with a rounded rim; holes in rows around it let it suck where its end lies on something. */
+function suctionEnd({ tip_radius_m: tip }: ToolInfo): End {
+  const rim = revolved([[0.62 * tip, 0.3 * tip], [0.66 * tip, -0.75 * tip], [0.85 * tip, -0.95 * tip], [tip, -0.7 * tip], [tip, 0]]);
+  const bore = new CircleGeometry(0.64 * tip, 24).rotateY(Math.PI).translate(0, 0, -0.3 * tip);
+  const hole = (turn: number, z_m: number): BufferGeometry =>
+    new CylinderGeometry(0.24 * tip, 0.24 * tip, 0.1 * tip, 16).scale(1.5, 1, 1).rotateZ(-Math.PI / 2).rotateX(Math.PI / 2).translate(0.965 * tip, 0, z_m).rotateZ(turn);
+  const holes = [1, 2.6, 4.2].flatMap((z, row) => [0, 1, 2, 3].map((i) => hole(((2 * i + (row % 2)) * Math.PI) / 4, z * tip)));
+  return { parts: [{ look: "polished", geometry: joined([rim, tube(tip, 0, 6 * tip)]) }, { look: "hole", geometry: joined([bore, ...holes]) }], shaftFrom_m: 6 * tip, shaft: "marked_steel" };
+}
+
 function endOf(tool: ToolInfo, shaft_m: number): End {
   if (tool.optics !== null) return endoscopeEnd(tool);
   if (tool.jaws !== null) return { ...hinge(tool.jaws, tool.tip_radius_m, shaft_m), shaft: "insulation" };
   if (tool.kind === "hook") return hookEnd(tool, shaft_m);
   if (tool.kind === "scalpel") return scalpelEnd(tool, shaft_m);
+  if (tool.kind === "suction") return suctionEnd(tool);
   return ballEnd(tool, shaft_m);
 }
 
@@ -110,6 +123,11 @@ export function instrumentParts(tool: ToolInfo): InstrumentParts {
   if (jaws !== null) fixed.push({ look: "steel", geometry: revolved([[0, shaftFrom_m], [0.9 * shaft_m, shaftFrom_m], [1.02 * shaft_m, shaftFrom_m + 0.3 * shaft_m], [1.02 * shaft_m, shaftFrom_m + 0.004]]) });
   fixed.push({ look: "grip", geometry: handle(length_m, shaft_m, jaws !== null) });
   return { fixed, jaws: jaws === null ? [] : ([0, 1] as const).map((side) => jawParts(kind, jaws, tip, side)), hinge_m: jaws?.length_m ?? 0 };
+}
+
+/** What comes out of a suction tube that rinses: a jet that spreads, in the tool's frame. */
+export function jetOf({ tip_radius_m: tip }: ToolInfo): BufferGeometry {
+  return revolved([[0.5 * tip, -0.5 * tip], [0.55 * tip, -0.5 * JET_M], [1.1 * tip, -0.9 * JET_M], [1.6 * tip, -JET_M]]);
 }
 
 /** A cannula in the abdominal wall, along z through the origin: outside is at +z. */

@@ -15,6 +15,7 @@ const LOOKS = {
   cannula: { colour: 0x9fb4bd, metal: 0, softness: 0.12 },
   glass: { colour: 0x0b1620, metal: 0, softness: 0.04 },
   light: { colour: 0xfff6e6, metal: 0, softness: 0.4, glow: 0.9 },
+  hole: { colour: 0x050607, metal: 0, softness: 0.6 },
   grip: { colour: 0x20262c, metal: 0, softness: 0.3 },
 } as const satisfies Record<string, SolidLook>;
 

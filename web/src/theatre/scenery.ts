@@ -1,15 +1,18 @@
 /**
  * Organs around those of the scene, seen through the endoscope alone: shapes of low detail that nothing touches, and that say nothing
- * about the patient. A bed of fat behind, colon at the feet's side, stomach at the left, a liver towards the head of small scenes.
+ * about the patient. A bed of fat behind, colon at the feet's side, stomach at the left, a liver towards the head of small scenes, and
+ * before the liver the falciform ligament.
  * What the scene has among its bodies is not drawn twice, and what would stand in an instrument's way is left out.
  */
 import { Box3, CatmullRomCurve3, Group, Mesh, Vector3, type ShaderMaterial } from "three";
 import { isFullDetail } from "../detail";
 import { latticeValue, valueNoise } from "../noise";
 import type { Ray } from "../drag";
-import type { Hello } from "../protocol";
+import type { Hello, Topology } from "../protocol";
 import { tissueGeometry } from "../tissue/geometry";
 import { lookOf } from "../tissue/looks";
+import { falciform, type LiverSurface } from "./ligament";
+import { abdomenOf } from "./walls";
 
 /** What is behind organs is drawn after them, so that what they hide costs nothing. */
 const AFTER_ORGANS = 2;
@@ -140,6 +143,23 @@ interface Piece {
   readonly surface: ReturnType<typeof surfaceOf>;
 }
 
+const LIVER = /liver|foie/;
+/** What is in a liver is none. */
+const IN_LIVER = /tumou?r|metasta|nodule/;
+
+function isSmall({ bounds: { min_m, max_m } }: Pick<Hello, "bounds">): boolean {
+  return max_m.every((most, k) => most - min_m[k] < SMALL_M);
+}
+
+/** The surface of a scene's own liver, where that is one of usual size. */
+function liverOf(hello: Hello, { rest_m, triangles, bodyOf }: SceneSurface): LiverSurface | null {
+  const number = hello.bodies.findIndex(({ name, is_rigid }) => !is_rigid && LIVER.test(name.toLowerCase()) && !IN_LIVER.test(name.toLowerCase()));
+  const isLiver = hello.bodies.length > 0 ? number >= 0 : LIVER.test(hello.scene.material.toLowerCase());
+  if (!isLiver || isSmall(hello)) return null;
+  const isOfIt = (_: number, i: number): boolean => bodyOf[triangles[3 * Math.floor(i / 3)]] === Math.max(number, 0);
+  return { rest_m, triangles: triangles.filter(isOfIt) };
+}
+
 function piecesOf(hello: Hello): Piece[] {
   const down = downOf(hello);
   const box = new Box3(new Vector3(...hello.bounds.min_m), new Vector3(...hello.bounds.max_m));
@@ -148,7 +168,6 @@ function piecesOf(hello: Hello): Piece[] {
     const at = new Vector3(x, middle.y, z);
     return at.addScaledVector(down, bedDepth_m(hello, down) - at.dot(down) - above_m);
   };
-  const size = box.getSize(new Vector3());
   const [left, feet, head] = [box.max.x, box.min.z, box.max.z];
   const colonAt = feet - 0.042;
   const pieces: Piece[] = [
@@ -164,9 +183,9 @@ function piecesOf(hello: Hello): Piece[] {
       surface: tube([[0.075, 0.06, 0.03], [0.07, 0.02, 0.034], [0.055, -0.02, 0.03], [0.02, -0.045, 0.022], [-0.02, -0.05, 0.018]].map(([x, z, above]) => onBed(Math.max(left, middle.x + 0.03) + x, middle.z + z, above)), (share) => 0.04 - 0.022 * share),
     },
   ];
-  if (Math.max(size.x, size.y, size.z) < SMALL_M) {
+  if (isSmall(hello)) {
     pieces.push({
-      names: /liver|foie/,
+      names: LIVER,
       look: "liver",
       surface: tube([[-0.13, 0.075, 0.05], [-0.07, 0.066, 0.06], [0, 0.072, 0.06], [0.07, 0.085, 0.05], [0.12, 0.095, 0.045]].map(([x, z, above]) => onBed(middle.x + x, head + z, above)), (share) => 0.058 - 0.026 * share),
     });
@@ -180,12 +199,28 @@ function waysOf({ tools }: Hello): Vector3[] {
     [0, 0.04, 0.08].map((back_m) => new Vector3(...home_tip_m).addScaledVector(new Vector3(...home_shaft).normalize(), back_m)));
 }
 
+/** What endoscopes look at at the start: places between them and the scene's middle, and the tips of the others. */
+function sightsOf({ tools, bounds: { min_m, max_m } }: Hello): Vector3[] {
+  const shares = Array.from({ length: 21 }, (_, i) => i / 20);
+  const middle = new Vector3(...min_m).add(new Vector3(...max_m)).multiplyScalar(0.5);
+  const seen = [middle, ...tools.map(({ home_tip_m }) => new Vector3(...home_tip_m))];
+  return tools.filter(({ optics }) => optics !== null)
+    .flatMap(({ home_tip_m }) => seen.flatMap((to) => shares.map((share) => new Vector3(...home_tip_m).lerp(to, share))));
+}
+
+/** What scenery knows of the bodies of a scene. */
+export type SceneSurface = Pick<Topology, "rest_m" | "triangles" | "bodyOf">;
+
 export class Scenery {
   readonly group = new Group();
   private readonly down = BACK.clone();
   private depth_m = 0;
   private hello: Hello | null = null;
   private isFull = false;
+  /** The made-up liver, where there is one. */
+  private liver: LiverSurface | null = null;
+  private ligament: Mesh | null = null;
+  private hasLookedForLiver = false;
 
   constructor(private readonly material: ShaderMaterial) {
     this.group.visible = false;
@@ -194,6 +229,9 @@ export class Scenery {
   begin(hello: Hello): void {
     this.hello = hello;
     this.isFull = isFullDetail();
+    this.liver = null;
+    this.ligament = null;
+    this.hasLookedForLiver = false;
     for (const part of this.group.children) (part as Mesh).geometry.dispose();
     this.group.clear();
     this.down.copy(downOf(hello));
@@ -202,24 +240,42 @@ export class Scenery {
     const named = hello.bodies.map(({ name }) => name.toLowerCase());
     for (const { names, look, surface } of piecesOf(hello)) {
       if (named.some((name) => names.test(name))) continue;
-      const geometry = tissueGeometry({ ...surface, lookAt: () => lookOf(look) });
-      geometry.computeBoundingBox();
       // The bed is below all instruments.
-      const isInWay = look !== "fat" && ways.some((place) => geometry.boundingBox!.containsPoint(place));
-      if (isInWay) {
-        geometry.dispose();
-        continue;
-      }
-      const part = new Mesh(geometry, this.material);
-      part.renderOrder = AFTER_ORGANS;
-      this.group.add(part);
+      const part = this.add(surface, look, look === "fat" ? [] : ways);
+      if (part !== null && names === LIVER) this.liver = surface;
     }
   }
 
-  /** Shows it, as fine as all is drawn now. */
-  show(shown: boolean): void {
-    if (shown && this.hello !== null && this.isFull !== isFullDetail()) this.begin(this.hello);
+  /** Adds a piece, unless a place is in its box. */
+  private add(surface: ReturnType<typeof surfaceOf>, look: string, keptFree: readonly Vector3[]): Mesh | null {
+    const geometry = tissueGeometry({ ...surface, lookAt: () => lookOf(look) });
+    geometry.computeBoundingBox();
+    if (keptFree.some((place) => geometry.boundingBox!.containsPoint(place))) {
+      geometry.dispose();
+      return null;
+    }
+    const part = new Mesh(geometry, this.material);
+    part.renderOrder = AFTER_ORGANS;
+    this.group.add(part);
+    return part;
+  }
+
+  /** Shows it, as fine as all is drawn now, around the bodies of the scene, which may not be known yet. */
+  show(shown: boolean, bodies: SceneSurface | null): void {
+    const { hello } = this;
+    if (shown && hello !== null && this.isFull !== isFullDetail()) this.begin(hello);
+    if (shown && hello !== null && bodies !== null && !this.hasLookedForLiver) {
+      this.hasLookedForLiver = true;
+      const liver = this.liver ?? liverOf(hello, bodies);
+      const sheet = liver && falciform(liver, abdomenOf(hello));
+      if (sheet !== null) this.ligament = this.add(surfaceOf({ ...sheet, isRound: true }), "falciform ligament", [...waysOf(hello), ...sightsOf(hello)]);
+    }
     this.group.visible = shown;
+  }
+
+  /** Whether the falciform ligament is there. */
+  get showsLigament(): boolean {
+    return this.ligament !== null;
   }
 
   /** How far along a ray the ground is, which is taken for flat; not finite where the ray does not go there. */

@@ -51,6 +51,8 @@ export interface TheatreReport {
   readonly smear: number;
   readonly outside: boolean;
   readonly field: ReturnType<OperatingField["report"]>;
+  /** Whether the falciform ligament is before the liver. */
+  readonly ligament: boolean;
   readonly stereo: Stereo;
   readonly second_px: number;
   /** The picture's circle on the canvas [CSS pixels]. */
@@ -286,8 +288,8 @@ export class Theatre implements OtherView {
 
   /** What is in no light's way. */
   private get castNone(): Object3D[] {
-    const { field, contactMarks, taskMarks } = this.scene;
-    return [this.walls, this.scenery.group, field.group, contactMarks.group, taskMarks.group];
+    const { field, contactMarks, taskMarks, instruments } = this.scene;
+    return [this.walls, this.scenery.group, field.group, contactMarks.group, taskMarks.group, ...instruments.map(({ jet }) => jet)];
   }
 
   /** The endoscope does not see itself, nor what is drawn to explain the scene; its lamp alone shines. */
@@ -297,7 +299,7 @@ export class Theatre implements OtherView {
       if (i === this.endoscope) instrument.group.visible = !seen;
     });
     this.walls.visible = seen;
-    this.scenery.show(seen);
+    this.scenery.show(seen, this.scene.organs.get(0)?.topology ?? null);
     this.scene.field.showGround(seen);
     this.scene.shadeByTool(seen && this.endoscope === this.scene.chosen);
     if (seen) lampPower.value = this.power();
@@ -341,6 +343,6 @@ export class Theatre implements OtherView {
     const { on, endoscope, smear, circle, camera, stereo, second_px } = this;
     const [, up, back] = [0, 1, 2].map((column) => new Vector3().setFromMatrixColumn(camera.matrixWorld, column));
     const view = { position_m: camera.position.toArray(), forward: back.negate().toArray(), up: up.toArray() };
-    return { on, endoscope, smear, outside: this.showsOutside, field: this.scene.field.report(), stereo, second_px, circle: { ...circle }, camera: { ...view, field_of_view_rad: (camera.fov * Math.PI) / 180 } };
+    return { on, endoscope, smear, outside: this.showsOutside, field: this.scene.field.report(), ligament: this.scenery.showsLigament, stereo, second_px, circle: { ...circle }, camera: { ...view, field_of_view_rad: (camera.fov * Math.PI) / 180 } };
   }
 }

@@ -136,12 +136,24 @@ export function roomOf({ bounds, tools }: Hello): Box3 {
   return room;
 }
 
+/** An ellipsoid. */
+export interface Abdomen {
+  readonly middle_m: Vector3;
+  readonly half_m: Vector3;
+}
+
+/** The egg around a scene. */
+export function abdomenOf(hello: Hello): Abdomen {
+  const room = roomOf(hello);
+  const half_m = room.getSize(new Vector3()).multiplyScalar(0.5 * THROUGH_CORNERS).addScalar(ROOM_M).max(new Vector3(...LEAST_HALF_M));
+  return { middle_m: room.getCenter(new Vector3()), half_m };
+}
+
 /** Puts the walls around a scene. */
 export function placeWalls(walls: Mesh, hello: Hello): void {
-  const room = roomOf(hello);
-  const half = room.getSize(new Vector3()).multiplyScalar(0.5 * THROUGH_CORNERS).addScalar(ROOM_M);
-  room.getCenter(walls.position);
-  walls.scale.copy(half).max(new Vector3(...LEAST_HALF_M));
+  const { middle_m, half_m } = abdomenOf(hello);
+  walls.position.copy(middle_m);
+  walls.scale.copy(half_m);
 }
 
 /** How far along a ray from inside they are. */

@@ -21,6 +21,7 @@ const TABLE: ReadonlyArray<readonly [words: RegExp, look: TissueLook]> = [
   [/gall|vesicula|vésicule/, look([0.072, 0.085, 0.05], [0.19, 0.2, 0.125], 0.85, 0)],
   [/tumou?r|nodule|metasta/, look([0.26, 0.19, 0.14], [0.42, 0.34, 0.26], 0.2, 0.15)],
   [/vessel|artery|vein|duct|aorta|cava|ureter/, look([0.17, 0.075, 0.052], [0.29, 0.165, 0.12], 0.6, 0)],
+  [/ligament|falciform|periton/, look([0.2, 0.095, 0.06], [0.37, 0.22, 0.155], 0.8, 0.3)],
   [/fat|oment|adipos|mesent/, look([0.175, 0.088, 0.022], [0.3, 0.178, 0.055], 0.45, 1)],
   [/spleen|rate/, look([0.048, 0.009, 0.017], [0.11, 0.021, 0.034], 0, 0.15)],
   [/kidney|rein/, look([0.075, 0.018, 0.012], [0.165, 0.047, 0.031], 0.15, 0.1)],

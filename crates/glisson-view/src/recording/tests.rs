@@ -85,6 +85,7 @@ fn snapshot(side: u32, frame: usize) -> Snapshot {
             rate_m3_per_s: 1e-7,
             n_clips: 0,
             ends,
+            clips: Vec::new(),
         },
         threads: if version_of(frame) == 2 { vec![thread] } else { Vec::new() },
         strands_m: Vec::new(),

@@ -3,7 +3,7 @@
 use super::inside::InsideView;
 use super::positions::{CodedPositions, STEP_M};
 use glisson::math::DVec3;
-use glisson::record::snapshot::{ContactPoints, DisplayTopology, Snapshot, ThreadSnapshot};
+use glisson::record::snapshot::{ClipSnapshot, ContactPoints, DisplayTopology, Snapshot, ThreadSnapshot};
 pub use glisson_runtime::pace::Pace;
 
 const MAGIC: u32 = u32::from_le_bytes(*b"GLSN");
@@ -18,6 +18,7 @@ const FLAG_THREADS: u32 = 16;
 const FLAG_INSIDE: u32 = 32;
 const FLAG_CODED: u32 = 64;
 const FLAG_STRANDS: u32 = 128;
+const FLAG_CLIPS: u32 = 256;
 /// Where a SNAPSHOT frame says how many vertices it has.
 pub(crate) const N_VERTICES_AT: usize = 56;
 
@@ -56,6 +57,14 @@ impl FrameWriter {
             self.0.extend((thread.radius_m as f32).to_le_bytes());
             self.positions(&thread.nodes_m);
             self.positions(&thread.clips_m);
+        }
+    }
+
+    fn clips(&mut self, clips: &[ClipSnapshot]) {
+        self.u32s(&[clips.len() as u32]);
+        for clip in clips {
+            self.positions(&[clip.position_m, clip.along, clip.legs]);
+            self.0.extend((clip.radius_m as f32).to_le_bytes());
         }
     }
 
@@ -141,13 +150,15 @@ fn frame_with(
     let paused = if pace.paused { FLAG_PAUSED } else { 0 };
     let with_contacts = if contacts.is_some() { FLAG_CONTACT_POINTS } else { 0 };
     let with_threads = if snapshot.threads.is_empty() { 0 } else { FLAG_THREADS };
+    let with_clips = if snapshot.bleeding.clips.is_empty() { 0 } else { FLAG_CLIPS };
     let with_inside = if inside.is_some() { FLAG_INSIDE } else { 0 };
     let with_code = if coded.is_some() { FLAG_CODED } else { 0 };
     let with_strands = if snapshot.strands_m.is_empty() { 0 } else { FLAG_STRANDS };
     let bleeding = &snapshot.bleeding;
     let n_blood = if bleeding.has_vessels { 1 + bleeding.ends.len() as u32 } else { 0 };
     let (n_tools, n_vertices) = (snapshot.tools.len() as u32, snapshot.positions_m.len() as u32);
-    let flags = paused | with_contacts | with_threads | with_inside | with_code | with_strands;
+    let optional = with_contacts | with_threads | with_clips | with_inside | with_strands;
+    let flags = paused | with_code | optional;
     frame.u32s(&[flags, n_tools, n_vertices, n_blood]);
     for tool in &snapshot.tools {
         let pose = &tool.pose;
@@ -185,6 +196,9 @@ fn frame_with(
     }
     if !snapshot.threads.is_empty() {
         frame.threads(&snapshot.threads);
+    }
+    if !bleeding.clips.is_empty() {
+        frame.clips(&bleeding.clips);
     }
     if let Some(inside) = inside {
         frame.inside(inside);
@@ -320,14 +334,33 @@ mod tests {
     fn bleeding_follows_a_snapshot_as_documented() {
         let end = BleedingEnd { position_m: DVec3::new(1.0, 2.0, 3.0), rate_m3_per_s: 0.5 };
         let ends = vec![end; 2];
-        let bleeding =
-            BleedingSnapshot { has_vessels: true, lost_m3: 0.25, rate_m3_per_s: 1.0, n_clips: 3, ends };
+        let (lost_m3, rate_m3_per_s) = (0.25, 1.0);
+        let bleeding = BleedingSnapshot {
+            has_vessels: true,
+            lost_m3,
+            rate_m3_per_s,
+            n_clips: 3,
+            ends,
+            clips: Vec::new(),
+        };
         let frame = snapshot_frame(&Snapshot { bleeding, ..snapshot() }, &PACE, None, None);
         assert_eq!(frame[60], 3, "a sum and two ends");
         assert_eq!(frame.len(), WITHOUT_BLOOD + 3 * 16);
         let single = |at: usize| f32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
         let tail: Vec<f32> = (0..8).map(|i| single(WITHOUT_BLOOD + 4 * i)).collect();
         assert_eq!(tail, [0.25, 1.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.5]);
+    }
+
+    #[test]
+    fn clips_follow_a_snapshot_as_documented() {
+        let clip = ClipSnapshot { position_m: DVec3::ONE, along: DVec3::X, legs: DVec3::Z, radius_m: 0.5 };
+        let bleeding = BleedingSnapshot { n_clips: 3, clips: vec![clip; 2], ..BleedingSnapshot::default() };
+        let frame = snapshot_frame(&Snapshot { bleeding, ..snapshot() }, &PACE, None, None);
+        let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
+        assert_eq!((frame.len(), word(WITHOUT_BLOOD)), (WITHOUT_BLOOD + 4 + 2 * 40, 2));
+        assert_eq!(word(48), FLAG_PAUSED | 256);
+        let numbers: Vec<f32> = (0..10).map(|i| f32::from_bits(word(WITHOUT_BLOOD + 44 + 4 * i))).collect();
+        assert_eq!(numbers, [1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.5]);
     }
 
     #[test]

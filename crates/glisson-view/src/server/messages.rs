@@ -7,7 +7,9 @@ use glisson::math::{Aabb, DVec3};
 use glisson::model::kind::{MODELS, ModelKind};
 use glisson::record::inside::{Field, Plane};
 use glisson::record::parameter::Parameter;
-use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ThreadSnapshot, ToolSnapshot};
+use glisson::record::snapshot::{
+    BleedingEnd, BleedingSnapshot, ClipSnapshot, ContactReport, ThreadSnapshot, ToolSnapshot,
+};
 use glisson::tool::{Tool, ToolInput};
 use glisson::training::task::TaskStatus;
 use glisson::world::spec::BodySpec;
@@ -134,11 +136,20 @@ fn thread(thread: &ThreadSnapshot) -> Value {
 
 fn bleeding_state(bleeding: &BleedingSnapshot) -> Value {
     let end = |end: &BleedingEnd| json!({ "position_m": end.position_m.to_array(), "rate_m3_per_s": end.rate_m3_per_s });
+    let clip = |clip: &ClipSnapshot| {
+        json!({
+            "position_m": clip.position_m.to_array(),
+            "along": clip.along.to_array(),
+            "legs": clip.legs.to_array(),
+            "radius_m": clip.radius_m,
+        })
+    };
     json!({
         "lost_m3": bleeding.lost_m3,
         "rate_m3_per_s": bleeding.rate_m3_per_s,
         "n_clips": bleeding.n_clips,
         "ends": bleeding.ends.iter().map(end).collect::<Vec<_>>(),
+        "clips": bleeding.clips.iter().map(clip).collect::<Vec<_>>(),
     })
 }
 

@@ -45,6 +45,8 @@ pub struct BleedingSnapshot {
     pub n_clips: u32,
     /// Open ends.
     pub ends: Vec<BleedingEnd>,
+    /// Clips whose tissue is still there.
+    pub clips: Vec<ClipSnapshot>,
 }
 
 /// An open end of a vessel.
@@ -54,6 +56,19 @@ pub struct BleedingEnd {
     pub position_m: DVec3,
     /// Blood that comes out [m3/s].
     pub rate_m3_per_s: f64,
+}
+
+/// A clip on a vessel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClipSnapshot {
+    /// Its middle, on the vessel's axis [m].
+    pub position_m: DVec3,
+    /// Unit vector along the vessel.
+    pub along: DVec3,
+    /// Unit vector across the vessel, along the clip's legs to their bend.
+    pub legs: DVec3,
+    /// Radius of the vessel there, at rest [m].
+    pub radius_m: f64,
 }
 
 /// A thread.

@@ -210,8 +210,10 @@ pub(super) fn read_tool(mut section: Section<'_>, cuts: &CutRules) -> Result<Ins
         .direction("home_shaft")?
         .or(to_trocar)
         .ok_or_else(|| section.missing("home_shaft", "home_shaft = [0, -1, 0.3]"))?;
-    let home =
-        read_hand(&mut section, ["home_roll", "home_jaw"], ToolInput::at(tip_in_world_m, shaft_in_world))?;
+    // A lever that rinses is let go.
+    let jaw_opening = if kind.rinses() { 1.0 } else { 0.0 };
+    let at_rest = ToolInput { jaw_opening, ..ToolInput::at(tip_in_world_m, shaft_in_world) };
+    let home = read_hand(&mut section, ["home_roll", "home_jaw"], at_rest)?;
     let home = home.through(trocar_m);
     let path = read_path(&mut section, home, trocar_m)?;
     section.finish()?;

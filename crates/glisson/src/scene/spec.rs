@@ -312,10 +312,20 @@ trigger = 1
         assert_eq!(scene.end_of_paths_s(), Some(1.0));
 
         let message = |text: &str| Scene::parse(text).unwrap_err().to_string();
-        let allowed = "\"kind\" is \"grabber\"; allowed: probe, grasper, scissors, scalpel, hook, cautery, clipper, endoscope";
+        let allowed = "\"kind\" is \"grabber\"; allowed: probe, grasper, scissors, scalpel, hook, cautery, clipper, endoscope, suction";
         assert!(message(&two.replace("\"grasper\"", "\"grabber\"")).contains(allowed));
         assert!(message(&two.replace("home_jaw = 1", "home_jaw = 2")).contains("between 0 and 1"));
         assert!(message(&two.replace("\"grasper\"", "\"probe\"")).contains("unknown key"));
+        // The lever of a suction tube is let go unless its table says otherwise; it has no jaws.
+        let suction = two.replace("\"grasper\"", "\"suction\"");
+        assert!(message(&suction).contains("unknown key"));
+        let plain = |line: &&str| !["jaw_", "closing_", "home_jaw"].iter().any(|key| line.starts_with(key));
+        let suction: String = suction.lines().filter(plain).map(|line| line.to_owned() + "\n").collect();
+        let home = |text: &str| Scene::parse(text).unwrap().world.tools[1].home.jaw_opening;
+        assert_eq!(
+            [&suction, &suction.replace("home_tip", "home_jaw = 0.25\nhome_tip")].map(|text| home(text)),
+            [1.0, 0.25]
+        );
         let six = two.clone() + &grasper.repeat(4);
         assert!(message(&six).contains("6 instruments; allowed: 1 to 5"), "{}", message(&six));
     }

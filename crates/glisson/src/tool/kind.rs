@@ -17,6 +17,9 @@ pub struct InstrumentKind {
     pub burns: bool,
     /// Whether it looks through a lens at its tip.
     pub has_optics: bool,
+    /// Whether it sucks while its trigger is pressed, and rinses while its lever is, which is where jaws are in an input (0 pressed): a
+    /// matter of pictures, without effect on tissue.
+    pub rinses: bool,
     /// Whether tissue sticks to it unless the scene knows how it slides.
     pub sticks: bool,
 }
@@ -40,6 +43,7 @@ const PLAIN: InstrumentKind = InstrumentKind {
     has_blade: false,
     burns: false,
     has_optics: false,
+    rinses: false,
     sticks: false,
 };
 
@@ -82,9 +86,16 @@ const CLIPPER: InstrumentKind = InstrumentKind {
 const ENDOSCOPE: InstrumentKind =
     InstrumentKind { name: "endoscope", about: "shows what is before its tip", has_optics: true, ..PLAIN };
 
+const SUCTION: InstrumentKind = InstrumentKind {
+    name: "suction",
+    about: "sucks away blood and smoke at its tip, and rinses",
+    rinses: true,
+    ..PLAIN
+};
+
 /// Every kind, in the order of lists: one line a kind (docs/extending.md).
 pub const INSTRUMENTS: &[InstrumentKind] =
-    &[PROBE, GRASPER, SCISSORS, SCALPEL, HOOK, CAUTERY, CLIPPER, ENDOSCOPE];
+    &[PROBE, GRASPER, SCISSORS, SCALPEL, HOOK, CAUTERY, CLIPPER, ENDOSCOPE, SUCTION];
 
 /// The names of all kinds, in the order of the table.
 pub fn instrument_names() -> impl Iterator<Item = &'static str> {
@@ -192,6 +203,11 @@ impl ToolKind {
     /// Whether its jaws hold what they close on.
     pub fn holds(&self) -> bool {
         self.kind.jaws == Some(JawUse::Hold)
+    }
+
+    /// Whether it rinses while its lever is pressed.
+    pub fn rinses(&self) -> bool {
+        self.kind.rinses
     }
 
     /// Whether its jaws set clips.

@@ -31,6 +31,7 @@ mod capsule;
 mod slide;
 pub mod spec;
 mod site;
+mod clip;
 mod stage;
 pub mod suture_spec;
 pub mod sutures;
@@ -74,7 +75,7 @@ use std::sync::Arc;
 use sutures::Suture;
 use tool_state::ToolState;
 use touch::HeldContact;
-use vessels::Vessels;
+use vessels::{ClipApplier, Vessels};
 
 /// Everything that one step is told from outside.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -584,9 +585,10 @@ impl World {
         };
         let tip_m = hand.now.tip_in_world_m + self.further_out_m(tool);
         let reach_m = spec.tip_radius_m + spec.kind.jaws().map_or(0.0, |jaws| jaws.length_m);
+        let applier = ClipApplier { tip_m, shaft: hand.now.shaft_in_world, reach_m };
         let positions_m = self.model.state().positions_m;
         let Some(vessels) = &mut self.vessels else { return false };
-        vessels.clip(tip_m, reach_m, self.organ.body(), positions_m)
+        vessels.clip(&applier, self.organ.body(), positions_m)
     }
 
     /// Tears the vessel that is nearest to a place at rest, there; answers whether blood came of it.

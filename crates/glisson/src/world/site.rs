@@ -28,6 +28,18 @@ impl Site {
         body.topology().tet_nodes(self.tet)
     }
 
+    /// What has become of a way at rest, for a way that is short beside the tetrahedron.
+    pub(super) fn way_now(&self, way: DVec3, body: &EditableMesh, positions_m: &[DVec3]) -> DVec3 {
+        let now_m = self.nodes(body).map(|node| positions_m[node.index()]);
+        carried(way, body.mesh().corners_m(self.tet), now_m)
+    }
+
+    /// The way at rest of which `way` has become.
+    pub(super) fn way_at_rest(&self, way: DVec3, body: &EditableMesh, positions_m: &[DVec3]) -> DVec3 {
+        let now_m = self.nodes(body).map(|node| positions_m[node.index()]);
+        carried(way, now_m, body.mesh().corners_m(self.tet))
+    }
+
     /// A place of a triangle of the surface, in the tetrahedron behind it.
     pub(super) fn on_surface(
         topology: &Topology,
@@ -70,6 +82,12 @@ fn weights_of(point_m: DVec3, corners_m: [DVec3; 4]) -> [f64; 4] {
         part_m[i] = point_m;
         tetrahedron_volume_m3(part_m) / volume_m3
     })
+}
+
+/// What becomes of a way when the corners of its tetrahedron go from one place to another: the deformation gradient times it.
+fn carried(way: DVec3, from_m: [DVec3; 4], to_m: [DVec3; 4]) -> DVec3 {
+    let weights = weights_of(from_m[0] + way, from_m);
+    to_m.into_iter().zip(weights).map(|(corner_m, w)| corner_m * w).sum::<DVec3>() - to_m[0]
 }
 
 /// The live tetrahedron of the rest shape that holds `point_m`, the lowest of several.

@@ -6,11 +6,13 @@
 //! supply. The rate follows Murray's law, by which the flow of a vessel goes with the cube of its diameter (Murray 1926,
 //! doi 10.1073/pnas.12.3.207), scaled to the portal vein: an open end lets out what the vessel carried.
 
+use super::clip::Clip;
+pub use super::clip::ClipApplier;
 use super::site::{Site, site_of};
 use crate::image::vessels::{Tube, TubeError, check_tube};
 use crate::math::{Aabb, DVec3, tetrahedron_volume_m3};
 use crate::mesh::edit::{EditableMesh, TopologyChange};
-use crate::mesh::{NodeId, TriangleId};
+use crate::mesh::{NodeId, TetId, TriangleId};
 use crate::record::snapshot::{BleedingEnd, BleedingSnapshot};
 use crate::surface::intersect::segment_meets_triangle;
 
@@ -49,7 +51,7 @@ pub struct Vessels {
     /// Nearest cut to the root on each tube, 0 to 1.
     cut_along: Vec<Option<f64>>,
     /// Clips on each tube, nearest to the root first.
-    clips: Vec<Vec<f64>>,
+    clips: Vec<Vec<Clip>>,
     /// Middle of each tube.
     middles: Vec<Option<Site>>,
     open: Vec<OpenEnd>,
@@ -117,7 +119,7 @@ impl Vessels {
     /// Where clips are in the rest shape [m].
     pub fn clips_at_rest_m(&self) -> impl Iterator<Item = DVec3> + '_ {
         let all = self.tubes.iter().zip(&self.clips);
-        all.flat_map(|(tube, clips)| clips.iter().map(|along| tube.point_m(*along)))
+        all.flat_map(|(tube, clips)| clips.iter().map(|clip| tube.point_m(clip.along)))
     }
 
     /// Number of clips set.
@@ -131,11 +133,11 @@ impl Vessels {
         let clips = self
             .clips
             .iter()
-            .flat_map(|of_tube| std::iter::once(of_tube.len() as f64).chain(of_tube.iter().copied()));
+            .flat_map(|of_tube| std::iter::once(of_tube.len() as f64).chain(of_tube.iter().map(|c| c.along)));
         [self.lost_m3].into_iter().chain(cuts).chain(clips)
     }
 
-    /// Writes what bleeds now; allocates the first time only.
+    /// Writes what bleeds now, and the clips; allocates the first time, and after clips were set.
     pub fn bleeding_into(&self, body: &EditableMesh, positions_m: &[DVec3], out: &mut BleedingSnapshot) {
         out.has_vessels = true;
         out.lost_m3 = self.lost_m3;
@@ -148,6 +150,11 @@ impl Vessels {
             position_m: self.end_position_m(end, body, positions_m),
             rate_m3_per_s: end.rate_m3_per_s,
         }));
+        let clips = self.tubes.iter().zip(&self.clips).flat_map(|(tube, clips)| {
+            clips.iter().filter_map(move |clip| clip.snapshot(tube, body, positions_m))
+        });
+        out.clips.clear();
+        out.clips.extend(clips);
     }
 
     /// Blood goes on flowing for `dt_s`.
@@ -189,18 +196,23 @@ impl Vessels {
                 }
             }
         }
-        let is_lost = |site: &Site| {
-            !topology.is_live_tet(site.tet) || topology.tet_nodes(site.tet).iter().any(is_moved)
-        };
+        let is_lost = |tet: TetId| !topology.is_live_tet(tet) || topology.tet_nodes(tet).iter().any(is_moved);
         if change.is_renumbering() || !change.tets.removed.is_empty() || !change.moved_nodes.is_empty() {
             for (site, tube) in self.middles.iter_mut().zip(&self.tubes) {
-                if change.is_renumbering() || site.as_ref().is_some_and(is_lost) {
+                if change.is_renumbering() || site.is_some_and(|site| is_lost(site.tet)) {
                     *site = site_of(body, tube.point_m(0.5));
+                }
+            }
+            for (clips, tube) in self.clips.iter_mut().zip(&self.tubes) {
+                for clip in clips {
+                    if change.is_renumbering() || clip.tet().is_some_and(is_lost) {
+                        clip.find_tissue(tube, body);
+                    }
                 }
             }
             let ends_stay = change.tets.removed.is_empty()
                 && n_severed == 0
-                && !self.open.iter().any(|end| end.site.as_ref().is_some_and(is_lost));
+                && !self.open.iter().any(|end| end.site.is_some_and(|site| is_lost(site.tet)));
             if !ends_stay || change.is_renumbering() {
                 self.find_open_ends(body);
             }
@@ -208,24 +220,26 @@ impl Vessels {
         n_severed
     }
 
-    /// Sets a clip at the vessel that is nearest to `at_m` in the present shape: on an open end, or around a vessel that is
-    /// whole, if one is within `reach_m`. Answers whether one was. Allocates.
-    pub fn clip(&mut self, at_m: DVec3, reach_m: f64, body: &EditableMesh, positions_m: &[DVec3]) -> bool {
+    /// Sets a clip at the vessel that is nearest to the applier's tip in the present shape: on an open end, or around a vessel that
+    /// is whole, if one is within its reach. Answers whether one was. Allocates.
+    pub fn clip(&mut self, applier: &ClipApplier, body: &EditableMesh, positions_m: &[DVec3]) -> bool {
         let ends = self.open.iter().map(|end| {
             let place_m = self.end_position_m(end, body, positions_m);
-            (place_m.distance(at_m), end.tube as usize, end.along)
+            (place_m.distance(applier.tip_m), end.tube as usize, end.along)
         });
         let whole = self.middles.iter().enumerate().filter_map(|(i, site)| {
             let is_upstream = self.cut_along[i].is_none_or(|cut| cut > 0.5);
             let place_m = (*site).filter(|_| is_upstream)?.place_m(body, positions_m);
-            Some((place_m.distance(at_m), i, 0.5))
+            Some((place_m.distance(applier.tip_m), i, 0.5))
         });
         let nearest = ends.chain(whole).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let Some((_, tube, along)) = nearest.filter(|n| n.0 <= reach_m) else { return false };
+        let Some((_, tube, along)) = nearest.filter(|n| n.0 <= applier.reach_m) else { return false };
         // A clip sits a little before the end that it closes.
         let along = (along - 1e-9).max(0.0);
-        self.clips[tube].push(along);
-        self.clips[tube].sort_by(f64::total_cmp);
+        let around = (&self.tubes[tube], self.clips[tube].as_slice());
+        let clip = Clip::set(along, applier.shaft, around, body, positions_m);
+        self.clips[tube].push(clip);
+        self.clips[tube].sort_by(|a, b| a.along.total_cmp(&b.along));
         self.find_open_ends(body);
         true
     }
@@ -268,7 +282,7 @@ impl Vessels {
         let mut carries = vec![false; self.tubes.len()];
         for (i, tube) in self.tubes.iter().enumerate() {
             let is_supplied = tube.parent.is_none_or(|parent| carries[parent as usize]);
-            let clip = self.clips[i].first().copied();
+            let clip = self.clips[i].first().map(|clip| clip.along);
             let is_clipped_before = |along: f64| clip.is_some_and(|c| c <= along);
             carries[i] = is_supplied && clip.is_none() && self.cut_along[i].is_none();
             let Some(along) = self.cut_along[i] else { continue };
@@ -309,9 +323,9 @@ fn crossing([from_m, to_m]: [DVec3; 2], corners_m: [DVec3; 3]) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::math::SeededRandom;
-    use crate::mesh::TetId;
     use crate::mesh::box_mesh::box_of_five;
     use crate::mesh::edit::MeshEdit;
+    use crate::record::snapshot::ClipSnapshot;
 
     #[test]
     fn nothing_slips_through_between_triangles_with_an_edge_in_common() {
@@ -349,6 +363,17 @@ mod tests {
         (body, vessels)
     }
 
+    /// An applier whose shaft comes from the front.
+    fn applier(tip_m: DVec3, reach_m: f64) -> ClipApplier {
+        ClipApplier { tip_m, shaft: DVec3::Z, reach_m }
+    }
+
+    fn clips_of(vessels: &Vessels, body: &EditableMesh, positions_m: &[DVec3]) -> Vec<ClipSnapshot> {
+        let mut told = BleedingSnapshot::default();
+        vessels.bleeding_into(body, positions_m, &mut told);
+        told.clips
+    }
+
     /// Removes all tetrahedra whose centroid lies in a slab.
     fn cut_slab(
         body: &mut EditableMesh,
@@ -382,8 +407,8 @@ mod tests {
         assert!((end_m - DVec3::new(0.03, 0.0068, 1.0103)).length() < 5e-3, "{end_m}");
         vessels.advance(2.0);
         assert!((vessels.lost_m3() / (2.0 * bleeding_m3_per_s(5e-3)) - 1.0).abs() < 1e-12);
-        assert!(!vessels.clip(DVec3::ZERO, 1e-3, &body, &moved_m), "nothing there");
-        assert!(vessels.clip(end_m, 1e-3, &body, &moved_m));
+        assert!(!vessels.clip(&applier(DVec3::ZERO, 1e-3), &body, &moved_m), "nothing there");
+        assert!(vessels.clip(&applier(end_m, 1e-3), &body, &moved_m));
         assert_eq!((vessels.open_ends().len(), vessels.bleeding_m3_per_s(), vessels.n_clips()), (0, 0.0, 1));
         // Cut again behind the clip: nothing. Before it: blood.
         cut_slab(&mut body, &mut vessels, 0.035, 0.04, [0.0, 0.01]);
@@ -404,9 +429,48 @@ mod tests {
 
         let (mut body, mut vessels) = block();
         let rest_m = body.mesh().positions_m.clone();
-        assert!(vessels.clip(DVec3::new(0.005, 0.0101, 0.0103), 1e-3, &body, &rest_m));
+        assert!(vessels.clip(&applier(DVec3::new(0.005, 0.0101, 0.0103), 1e-3), &body, &rest_m));
         cut_slab(&mut body, &mut vessels, 0.025, 0.035, [0.0, 0.02]);
         assert_eq!(vessels.bleeding_m3_per_s(), 0.0);
+    }
+
+    #[test]
+    fn clips_sit_on_their_vessel_turn_with_the_tissue_and_go_with_it() {
+        let (mut body, mut vessels) = block();
+        let rest_m = body.mesh().positions_m.clone();
+        let trunk_m = DVec3::new(0.005, 0.0101, 0.0103);
+        assert!(clips_of(&vessels, &body, &rest_m).is_empty());
+        for _ in 0..2 {
+            assert!(vessels.clip(&applier(trunk_m, 1e-3), &body, &rest_m));
+        }
+        // Beside each other, the second one nearer to where the blood comes from.
+        let [clip, second] = clips_of(&vessels, &body, &rest_m)[..] else { panic!("two clips") };
+        for (clip, x_m) in [(clip, 4e-3), (second, 2e-3)] {
+            assert!((clip.position_m - DVec3::new(x_m, 0.01015, 0.0103)).length() < 1e-5, "{clip:?}");
+        }
+        assert!(
+            clip.along.dot(DVec3::X) > 0.9999 && clip.legs.dot(DVec3::Z) > 0.9999 && clip.radius_m == 3e-3
+        );
+
+        // Stretched and turned about z: x to y, y to -x.
+        let moved = |p: DVec3| DVec3::new(-p.y, 2.0 * p.x, p.z + 1.0);
+        let moved_m: Vec<DVec3> = rest_m.iter().map(|p| moved(*p)).collect();
+        let turned = clips_of(&vessels, &body, &moved_m)[0];
+        assert!((turned.position_m - moved(clip.position_m)).length() < 1e-9);
+        assert!(turned.along.dot(DVec3::Y) > 0.9999 && turned.legs.dot(DVec3::Z) > 0.9999, "{turned:?}");
+
+        // Set in tissue that is turned: the legs lie along the applier then.
+        let mut others = block().1;
+        let at_m = moved(trunk_m);
+        assert!(others.clip(&ClipApplier { shaft: DVec3::NEG_X, ..applier(at_m, 1e-3) }, &body, &moved_m));
+        let [then, before] = [&moved_m, &rest_m].map(|at| clips_of(&others, &body, at)[0].legs);
+        assert!(then.dot(DVec3::NEG_X) > 0.9999 && before.dot(DVec3::Y) > 0.9999, "{then} {before}");
+
+        // Tissue that is cut out takes its clips along; they were set all the same.
+        cut_slab(&mut body, &mut vessels, 0.01, 0.015, [0.0, 0.02]);
+        assert_eq!(clips_of(&vessels, &body, &rest_m).len(), 2);
+        cut_slab(&mut body, &mut vessels, 0.0, 0.01, [0.0, 0.02]);
+        assert!(clips_of(&vessels, &body, &rest_m).is_empty() && vessels.n_clips() == 2);
     }
 
     #[test]
@@ -419,7 +483,7 @@ mod tests {
         assert!((end.rate_m3_per_s / bleeding_m3_per_s(4e-3) - 1.0).abs() < 1e-12);
         let rest_m = body.mesh().positions_m.clone();
         let end_m = vessels.end_position_m(end, &body, &rest_m);
-        assert!(vessels.clip(end_m, 1e-3, &body, &rest_m));
+        assert!(vessels.clip(&applier(end_m, 1e-3), &body, &rest_m));
         assert_eq!(vessels.bleeding_m3_per_s(), 0.0);
         // The trunk tears before both; a clip on it before that place would have spared the blood.
         assert!(vessels.tear(DVec3::new(0.005, 0.01, 0.01), &body));

@@ -467,6 +467,7 @@ fn wrong_instrument(instrument: InstrumentType) -> &'static str {
         InstrumentType::NeedleHolder => acts_as!("needle holder", "a \"grasper\""),
         InstrumentType::Endoscope => acts_as!("endoscope", "an \"endoscope\""),
         InstrumentType::ClipApplier => acts_as!("clip applier", "a \"clipper\""),
+        InstrumentType::SuctionTube => acts_as!("suction tube", "a \"suction\""),
     }
 }
 

@@ -1,6 +1,6 @@
 //! Which instrument is in the trocar: a tag on it, read as a bar code or by radio (seed `000`, s. 5.3.1, 5.4.5).
 //!
-//! The seed wants about ten types told apart and does not list them; these ten cover its gestures (palpate, grasp, biopsy,
+//! The seed wants about ten types told apart and does not list them; these twelve cover its gestures (palpate, grasp, biopsy,
 //! cut, suture) and what goes through trocars beside them. A tag is four bytes: type, serial number (least byte first), and
 //! the check byte of both, CRC-8 with the polynomial x^8 + x^2 + x + 1.
 
@@ -29,11 +29,13 @@ pub enum InstrumentType {
     Endoscope,
     /// Sets clips.
     ClipApplier,
+    /// Sucks and rinses.
+    SuctionTube,
 }
 
 impl InstrumentType {
     /// All of them, in the order of their codes from 1.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::PalpationProbe,
         Self::AtraumaticGrasper,
         Self::ToothedGrasper,
@@ -45,6 +47,7 @@ impl InstrumentType {
         Self::NeedleHolder,
         Self::Endoscope,
         Self::ClipApplier,
+        Self::SuctionTube,
     ];
 
     /// On the tag; 0 is no code.
@@ -71,6 +74,7 @@ impl InstrumentType {
             "needle holder",
             "endoscope",
             "clip applier",
+            "suction tube",
         ][self as usize]
     }
 
@@ -92,6 +96,7 @@ impl InstrumentType {
             Self::BipolarForceps => "cautery",
             Self::Endoscope => "endoscope",
             Self::ClipApplier => "clipper",
+            Self::SuctionTube => "suction",
         }
     }
 }
@@ -117,7 +122,7 @@ pub enum TagError {
         wanted: u8,
     },
     /// A type that is not in the list.
-    #[error("the tag has the type {0}; types go from 1 to 10")]
+    #[error("the tag has the type {0}; types go from 1 to {n_types}", n_types = InstrumentType::ALL.len())]
     Type(u8),
 }
 

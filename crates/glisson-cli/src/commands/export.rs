@@ -21,6 +21,7 @@ use std::path::{Path, PathBuf};
     group = clap::ArgGroup::new("what").args(["html", "mp4"]).required(true),
     after_help = "Examples:\n  glisson export out/tasks/palpation.jsonl --html palpation.html\n  \
     glisson export session.jsonl --html session.html --rate 60 --precision-mm 0.01\n  \
+    glisson export mine.jsonl --beside experts.jsonl --html both.html\n  \
     glisson export out/tasks/palpation.jsonl --mp4 palpation.mp4 --view endoscope --from 2 --to 8"
 )]
 pub(crate) struct Args {

@@ -47,7 +47,13 @@ fn a_session_is_exported_twice_to_the_same_bytes() {
     assert!(export("b.html", &[]).0 == first);
     let (finer, said) = export("c.html", &["--rate", "60", "--precision-mm", "0.001"]);
     assert!(finer != first && said.contains("frames           7 (60 a second"), "{said}");
-    let left = ["b.html", "body.tet", "c.html", "new", "s.jsonl", "scene.toml"];
+    // Two beside each other, which say what they are called.
+    let (_, said) = export("both.html", &["--beside", "s.jsonl", "--check"]);
+    assert!(
+        said.matches("session          s.jsonl").count() == 2 && said.contains("8 frames read back"),
+        "{said}"
+    );
+    let left = ["b.html", "body.tet", "both.html", "c.html", "new", "s.jsonl", "scene.toml"];
     assert_eq!(files(folder.path()), left);
     // Nothing that a browser would ask a network for.
     let page = String::from_utf8(first).unwrap();
@@ -70,6 +76,8 @@ fn what_cannot_be_exported_is_refused_in_words() {
     refused("s.jsonl", "body.tet/a.html", &["body.tet"]);
     write("text.jsonl", "a text\n");
     refused("text.jsonl", "a.html", &["text.jsonl", "line 1"]);
+    let beside = ["export", "s.jsonl", "--html", "a.html", "--beside", "gone.jsonl"];
+    refuses(folder.path(), &beside, &["gone.jsonl", "cannot read the session"]);
     // One changed input makes another state.
     let last_input = session.lines().rfind(|l| l.contains("\"input\"")).unwrap();
     let changed = last_input.replacen("\"tip_in_world_m\":[0.00", "\"tip_in_world_m\":[0.01", 1);

@@ -10,6 +10,7 @@ import { neighbour, Playback } from "../src/replay/playback";
 import { Recording, type Shown } from "../src/replay/recording";
 import { decodeStory, endingText } from "../src/replay/story";
 import { Bookmarks, bookmarksInFragment, fragmentOf, LONGEST_TEXT, nameOfRecording } from "../src/replay/bookmarks";
+import { Clock } from "../src/replay/clock";
 import { decodeNotes, drawnAt } from "../src/replay/notes";
 import { envelope, timeText } from "../src/replay/timeline";
 
@@ -277,5 +278,36 @@ describe("bookmarks of who looks on", () => {
     const other = FIXTURE.slice();
     other[40] ^= 1;
     expect(nameOfRecording(other)).not.toBe(nameOfRecording(FIXTURE));
+  });
+});
+
+describe("the clock", () => {
+  const timed = (begin_s: number, end_s: number, began_s: number | null | undefined = undefined, rate_hz = 10) => ({
+    begin_s, end_s, rate_hz, times_s: [begin_s, end_s], story: began_s === undefined ? null : { began_s },
+  });
+
+  it("of one recording is its time", () => {
+    const clock = new Clock([timed(0.1, 3, 1)]);
+    expect([clock.begin_s, clock.end_s, clock.start_s(0), clock.timeIn(0, 2), clock.frameAt(2.9)]).toEqual([0.1, 3, 0, 2, 0]);
+    expect(clock.canBeginWithTask).toBe(false);
+  });
+
+  it("of two begins with the first motion of both tasks, or with the recordings", () => {
+    const clock = new Clock([timed(0, 4, 1), timed(0, 6, 2, 20)]);
+    expect(clock.beginning).toBe("task");
+    expect([clock.begin_s, clock.end_s]).toEqual([-2, 4]);
+    // A stands at its beginning until its time comes, and at its end when B goes on.
+    expect([-2, -0.5, 0, 1, 4].map((time_s) => clock.timeIn(0, time_s))).toEqual([0, 0.5, 1, 2, 4]);
+    expect([-2, 0, 4].map((time_s) => clock.timeIn(1, time_s))).toEqual([0, 2, 6]);
+    expect(clock.frames_s.length).toBe(6 * 20 + 1);
+    expect(clock.frameAt(-1.45)).toBe(11);
+    clock.beginWith("recording");
+    expect([clock.begin_s, clock.end_s, clock.start_s(0), clock.start_s(1)]).toEqual([0, 6, 0, 0]);
+  });
+
+  it.each([[[timed(0, 4, 1), timed(1, 6)]], [[timed(0, 4, 1), timed(1, 6, null)]]])("begins with the recordings where a task was not begun", (pair) => {
+    const clock = new Clock(pair);
+    expect([clock.beginning, clock.begin_s, clock.end_s]).toEqual(["recording", 0, 5]);
+    expect([clock.timeIn(0, 1), clock.timeIn(1, 1)]).toEqual([1, 2]);
   });
 });

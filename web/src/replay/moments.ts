@@ -13,9 +13,11 @@ interface Entry {
 /** Where what is told of one of two recordings is listed: in a part that is shut, for it lies over a picture. */
 export function storyOf(story: HTMLElement, recording: number): HTMLElement {
   const both = story.querySelector("details") ?? story.appendChild(document.createElement("details"));
+  story.setAttribute("aria-label", text("replay_both_tasks"));
   if (recording === 0) both.append(element("summary", "", text("replay_both_tasks")));
-  const part = element("div", "story-part");
+  const part = element("section", "story-part");
   part.style.setProperty("--colour", COLOURS[recording]);
+  part.dataset.letter = `${LETTERS[recording]} `;
   part.style.setProperty("--letter", `"${LETTERS[recording]} "`);
   both.append(part);
   return part;
@@ -27,7 +29,7 @@ export class MomentList {
   constructor(root: HTMLElement, story: Story | null, jump: (time_s: number, tool: number | null) => void) {
     root.hidden = story === null;
     if (story === null) return;
-    root.setAttribute("aria-label", text("replay_task", { title: story.title }));
+    root.setAttribute("aria-label", text("replay_task", { title: (root.dataset.letter ?? "") + story.title }));
     const ending = element("p", "story-ending", endingText(story));
     ending.dataset.passed = String(story.isPassed);
     root.append(element("h2", "", story.title), ending);

@@ -16,6 +16,7 @@ import type { HandHeader, Hello } from "../protocol";
 import type { Theatre } from "../theatre/view";
 import { BookmarkList } from "./bookmark_list";
 import { Bookmarks, type ListedBookmark } from "./bookmarks";
+import type { Beginning } from "./clock";
 import type { Bookmark } from "./notes";
 import { COLOURS, LETTERS } from "./entry";
 import { timeInFragment } from "./fragment";
@@ -25,7 +26,7 @@ import { partsBeside, type ReplayPage } from "./page";
 import { neighbour, Playback } from "./playback";
 import type { Recording } from "./recording";
 import { Timeline, timeText } from "./timeline";
-import { Views, type Beginning } from "./views";
+import { Views } from "./views";
 
 /** A press of a key turns the view as so many pixels do. */
 const KEY_TURN = 24;
@@ -80,7 +81,7 @@ export class Player {
       failed: (error) => this.fail(error),
     });
     const { views } = this;
-    this.playback = new Playback(views.begin_s, views.end_s);
+    this.playback = new Playback(views.clock.begin_s, views.clock.end_s);
     for (const { scene } of views.all) scene.setDetail(this.shown.detail);
     this.panel = new Panel(page.panel, false);
     this.help = new Help(document.body, [[text("group_mouse"), PLAYER_MOUSE], ...helpOf(PLAYER_BINDINGS)]);
@@ -89,14 +90,14 @@ export class Player {
     this.timeline = new Timeline(page.timeline, (frame) => this.jumpToFrame(frame));
     this.lists = views.all.map(({ recording: { story } }, i) => new MomentList(views.isPair ? storyOf(page.story, i) : page.story, story, (time_s, tool) => {
       if (tool !== null) this.choose(tool);
-      this.jump(time_s - views.start_s(i));
+      this.jump(time_s - views.clock.start_s(i));
     }));
     page.story.hidden = views.all.every(({ recording }) => recording.story === null);
     // In the time of the first recording.
-    const recorded = (): Bookmark[] => views.all.flatMap(({ recording: { notes } }, i) => notes.bookmarks.map((bookmark) => ({ ...bookmark, time_s: bookmark.time_s - views.start_s(i) + views.start_s(0) })));
-    this.bookmarks = new BookmarkList(page.bookmarks, new Bookmarks(recorded, name, views.end_s + views.start_s(0), window.localStorage), {
-      jump: (time_s) => this.jump(time_s - views.start_s(0)),
-      now: () => this.playback.time_s + views.start_s(0),
+    const recorded = (): Bookmark[] => views.all.flatMap(({ recording: { notes } }, i) => notes.bookmarks.map((bookmark) => ({ ...bookmark, time_s: bookmark.time_s - views.clock.start_s(i) + views.clock.start_s(0) })));
+    this.bookmarks = new BookmarkList(page.bookmarks, new Bookmarks(recorded, name, views.clock.end_s + views.clock.start_s(0), window.localStorage), {
+      jump: (time_s) => this.jump(time_s - views.clock.start_s(0)),
+      now: () => this.playback.time_s + views.clock.start_s(0),
       changed: () => this.showBookmarks(),
       notice: (words) => this.messages.notice(words),
     });
@@ -128,9 +129,9 @@ export class Player {
   private began(): void {
     const { views, bar } = this;
     const { hello, scene } = views.first;
-    const tracks = views.all.map(({ recording }, i) => ({ recording, start_s: views.start_s(i), colour: COLOURS[i] }));
-    this.timeline.begin(tracks, views.frames_s);
-    for (const action of ["couple", "align"] as const) bar.offer(action, action === "couple" ? views.isPair : views.canBeginWithTask);
+    const tracks = views.all.map(({ recording }, i) => ({ recording, start_s: views.clock.start_s(i), colour: COLOURS[i] }));
+    this.timeline.begin(tracks, views.clock.frames_s);
+    for (const action of ["couple", "align"] as const) bar.offer(action, action === "couple" ? views.isPair : views.clock.canBeginWithTask);
     this.bodies.begin(hello.bodies);
     hello.tools.forEach(({ name }, tool) => this.bar.name(`tool_${tool + 1}` as PlayerAction, name));
     for (const tool of [0, 1, 2, 3]) this.bar.offer(`tool_${tool + 1}` as PlayerAction, hello.tools.length > 1 && tool < hello.tools.length);
@@ -177,19 +178,19 @@ export class Player {
 
   private jumpToFrame(frame: number): void {
     this.playback.playing = false;
-    const { frames_s } = this.views;
+    const { frames_s } = this.views.clock;
     this.jump(frames_s[Math.min(frames_s.length - 1, Math.max(0, frame))]);
   }
 
   /** Where bookmarks are on the clock [s]. */
   private get bookmarks_s(): number[] {
-    return this.bookmarks.all.map(({ time_s }) => time_s - this.views.start_s(0));
+    return this.bookmarks.all.map(({ time_s }) => time_s - this.views.clock.start_s(0));
   }
 
   /** What went wrong, and bookmarks. */
   private get moments_s(): number[] {
     const { views } = this;
-    const wrong_s = views.all.flatMap(({ recording }, i) => (recording.story?.moments ?? []).map(({ from_s }) => from_s - views.start_s(i)));
+    const wrong_s = views.all.flatMap(({ recording }, i) => (recording.story?.moments ?? []).map(({ from_s }) => from_s - views.clock.start_s(i)));
     return [...wrong_s, ...this.bookmarks_s].sort((a, b) => a - b);
   }
 
@@ -239,8 +240,8 @@ export class Player {
       case "frame_on": this.jumpToFrame(this.frameNow + 1); break;
       case "second_back": this.jump(playback.time_s - 1); break;
       case "second_on": this.jump(playback.time_s + 1); break;
-      case "begin": this.jump(views.begin_s); break;
-      case "end": this.jump(views.end_s); break;
+      case "begin": this.jump(views.clock.begin_s); break;
+      case "end": this.jump(views.clock.end_s); break;
       case "slower": playback.faster(-1); break;
       case "faster": playback.faster(1); break;
       case "moment_back": this.jumpToMoment(false); break;
@@ -253,7 +254,7 @@ export class Player {
         views.coupled = !views.coupled;
         if (views.coupled) views.follow(views.active);
         break;
-      case "align": this.beginWith(views.beginning === "task" ? "recording" : "task"); break;
+      case "align": this.beginWith(views.clock.beginning === "task" ? "recording" : "task"); break;
       case "reset_view": views.resetView(); break;
       case "turn_left": turn(KEY_TURN, 0); break;
       case "turn_right": turn(-KEY_TURN, 0); break;
@@ -303,17 +304,17 @@ export class Player {
   /** Both are seen from another beginning on; the clock stays at the same place of the first one. */
   private beginWith(beginning: Beginning): void {
     const { views } = this;
-    if (!views.canBeginWithTask) return;
-    const time_s = views.timeIn(0, this.playback.time_s);
-    views.beginWith(beginning);
-    this.playback = new Playback(views.begin_s, views.end_s, this.playback);
+    if (!views.clock.canBeginWithTask) return;
+    const time_s = views.clock.timeIn(0, this.playback.time_s);
+    views.clock.beginWith(beginning);
+    this.playback = new Playback(views.clock.begin_s, views.clock.end_s, this.playback);
     this.began();
     this.bookmarks.show();
-    this.jump(time_s - views.start_s(0));
+    this.jump(time_s - views.clock.start_s(0));
   }
 
   private get frameNow(): number {
-    return this.views.frameAt(this.playback.time_s);
+    return this.views.clock.frameAt(this.playback.time_s);
   }
 
   private invalidate(): void {
@@ -344,7 +345,7 @@ export class Player {
   private showWords(): void {
     const { playback, views, views: { first: { recording, hello, theatre, header: shownHeader, arrowScale_m_per_n, scene: { chosen } } } } = this;
     const header = shownHeader && { ...shownHeader, paused: !playback.playing };
-    const frame = recording.frameAt(views.timeIn(0, playback.time_s));
+    const frame = recording.frameAt(views.clock.timeIn(0, playback.time_s));
     this.history.clear();
     let peak_n = 0;
     for (let i = 0; i <= frame; i++) {
@@ -357,12 +358,12 @@ export class Player {
     this.panel.show({ ...values, state }, header);
     drawChart(this.panel.plot, forceChart(this.history));
     this.timeline.show(this.frameNow, playback.time_s, playback.speed);
-    this.lists.forEach((list, i) => list.show(views.timeIn(i, playback.time_s)));
+    this.lists.forEach((list, i) => list.show(views.clock.timeIn(i, playback.time_s)));
     if (views.isPair) this.page.names.forEach((node, i) => this.showName(node, i));
     const { bar, shown } = this;
     bar.set("play", playback.playing, text(playback.playing ? "button_pause" : "replay_button_play"));
     const { contacts, forces, fixedNodes } = shown;
-    const switches = { wireframe: shown.style !== 0, contacts, forces, fixed_nodes: fixedNodes, help: this.help.open, couple: views.coupled, align: views.beginning === "task", theatre: theatre.on, outside: theatre.showsOutside };
+    const switches = { wireframe: shown.style !== 0, contacts, forces, fixed_nodes: fixedNodes, help: this.help.open, couple: views.coupled, align: views.clock.beginning === "task", theatre: theatre.on, outside: theatre.showsOutside };
     for (const [action, on] of Object.entries(switches)) bar.set(action as PlayerAction, on);
     bar.offer("theatre", theatre.endoscope !== null);
     for (const action of ["wipe", "outside"] as const) bar.offer(action, theatre.on);
@@ -373,7 +374,7 @@ export class Player {
   private showName(node: HTMLElement, view: number): void {
     const { recording: { name }, header } = this.views.all[view];
     const force = header === null ? "" : forceText(Math.hypot(...header.forceOnTool_n));
-    const words = [`${LETTERS[view]} ${name}`, timeText(this.views.timeIn(view, this.playback.time_s)), force].join(" · ");
+    const words = [`${LETTERS[view]} ${name}`, timeText(this.views.clock.timeIn(view, this.playback.time_s)), force].join(" · ");
     if (node.textContent !== words) node.textContent = words;
   }
 
@@ -381,7 +382,7 @@ export class Player {
     const { playback, messages, bookmarks, views, views: { first: { recording, shownFrame, header, hello, theatre, scene } } } = this;
     const { time_s, playing, speed } = playback;
     const [, other] = views.all;
-    const beside = other === undefined ? null : { frame: other.shownFrame, time_s: views.timeIn(1, time_s), header: other.header, azimuth_rad: other.scene.orbit.azimuth_rad };
+    const beside = other === undefined ? null : { frame: other.shownFrame, time_s: views.clock.timeIn(1, time_s), header: other.header, azimuth_rad: other.scene.orbit.azimuth_rad };
     return structuredClone({ frame: shownFrame, nFrames: recording.nFrames, time_s, playing, speed, header, hello, theatre: theatre.report(), messages: messages.texts(), bookmarks: bookmarks.all, drawnDots: scene.classMarks.shown.dots, azimuth_rad: scene.orbit.azimuth_rad, beside });
   }
 }

@@ -4,6 +4,7 @@ use crate::picture::{
     Camera, Caption, CaptionPlace, Instrument, Look, Picture, PictureScene, View, looks_of, surfaces_of,
 };
 use anyhow::Context;
+use glisson::math::{Aabb, DVec3};
 use glisson::record::snapshot::{DisplayTopology, Snapshot};
 use glisson::tool::Tool;
 use glisson::tool::endoscope::Eye;
@@ -13,6 +14,8 @@ use std::fmt::Write as _;
 
 /// As the viewer begins: from the patient's right, a little from above [rad].
 const OUTSIDE: View = View { azimuth_rad: 0.38, elevation_rad: 0.3 };
+/// So much more than the organ is in the picture, for instruments: a choice.
+const ROOM: f64 = 1.25;
 
 /// From where a film is taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,7 +61,7 @@ impl FilmCamera {
         Ok(Self {
             size,
             looks: looks_of(world.spec(), &simulation.body().material_text),
-            outside: Camera::framing_points(&world.snapshot().positions_m, size, OUTSIDE),
+            outside: outside(&world.snapshot().positions_m, size),
             endoscope,
             topology: world.display_topology(),
         })
@@ -96,6 +99,13 @@ impl FilmCamera {
         };
         self.endoscope.and_then(through).unwrap_or(self.outside)
     }
+}
+
+/// From where the whole organ is seen, with room around it.
+fn outside(positions_m: &[DVec3], size: [usize; 2]) -> Camera {
+    let middle_m = Aabb::of_points(positions_m).center_m();
+    let wider_m: Vec<DVec3> = positions_m.iter().map(|&p| middle_m + ROOM * (p - middle_m)).collect();
+    Camera::framing_points(&wider_m, size, OUTSIDE)
 }
 
 /// Time, forces on the instruments that touch, and blood.

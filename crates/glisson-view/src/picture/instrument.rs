@@ -305,3 +305,56 @@ impl Instrument {
         parts
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glisson::tool::{Blade, BladeCuts, Burnt, CutRule, Jaws, Optics, Snip, ToolInput, ToolKind};
+
+    const JAWS: Jaws =
+        Jaws { length_m: 0.02, width_m: 4e-3, greatest_opening_rad: 0.8, closing_force_n: 5.0 };
+
+    fn instrument(kind: ToolKind) -> Instrument {
+        let pose = ToolInput { jaw_opening: 0.5, ..ToolInput::at(DVec3::X, DVec3::NEG_Y) };
+        let tool = Tool { kind, ..Tool::probe("it", 2e-3, pose) };
+        let now = ToolSnapshot {
+            pose,
+            shown_further_out_m: DVec3::Y * 0.001,
+            force_n: DVec3::ZERO,
+            contacts: [None; 3],
+            n_held_nodes: 0,
+        };
+        Instrument::of(&tool, &now)
+    }
+
+    #[test]
+    fn every_kind_has_its_end_and_reaches_from_the_tip_to_the_handle() {
+        let blade = Blade { length_m: 0.03, edge_radius_m: 0.0, cuts: BladeCuts::Embedded };
+        let burning =
+            CutRule { least_force_n: 0.0, least_time_s: 0.0, power_w: 0.0, takes: Burnt::Tetrahedra };
+        let optics = Optics { view_angle_rad: 0.5, field_of_view_rad: 1.2 };
+        let jaws = |shape| WorkingEnd::Jaws { length_m: 0.02, width_m: 4e-3, opening_rad: 0.4, shape };
+        for (kind, end) in [
+            (ToolKind::PROBE, WorkingEnd::Ball),
+            (ToolKind::grasper(JAWS), jaws(JawShape::Broad)),
+            (ToolKind::scissors(JAWS, Snip::Embedded), jaws(JawShape::Blades)),
+            (ToolKind::cautery(JAWS, burning), jaws(JawShape::Narrow)),
+            (ToolKind::scalpel(blade), WorkingEnd::Blade { length_m: 0.03 }),
+            (ToolKind::hook(burning), WorkingEnd::Hook),
+            (ToolKind::endoscope(optics), WorkingEnd::Lens),
+        ] {
+            let instrument = instrument(kind);
+            assert_eq!(instrument.end, end);
+            assert_eq!(instrument.frame.tip_in_world_m, DVec3::new(1.0, 0.001, 0.0));
+            let pieces: Vec<Piece> = instrument.parts().into_iter().map(|(_, piece)| piece).collect();
+            let places: Vec<_> = pieces.iter().flat_map(|piece| piece.positions.iter()).collect();
+            let (low, high) = places.iter().fold((f32::MAX, f32::MIN), |(a, b), p| (a.min(p.z), b.max(p.z)));
+            assert!(low > -2.1e-3 && low < 2.1e-3, "{end:?} begins at {low}");
+            assert!((high - 0.3).abs() < 1e-6, "{end:?} ends at {high}");
+            assert!(places.iter().all(|p| p.is_finite() && p.x.hypot(p.y) < 0.012), "{end:?}");
+            for normal in pieces.iter().flat_map(|piece| &piece.normals) {
+                assert!((normal.length() - 1.0).abs() < 1e-3, "{end:?} has the normal {normal}");
+            }
+        }
+    }
+}

@@ -286,6 +286,6 @@ fn a_page_has_the_recordings_that_were_put_into_it() {
         return;
     };
     assert_eq!(recordings_in(&empty), Vec::<Vec<u8>>::new());
-    assert_eq!(recordings_in(&page_with(&[&one]).unwrap()), [one.clone()]);
+    assert_eq!(recordings_in(&page_with(&[&one]).unwrap()), std::slice::from_ref(&one));
     assert_eq!(recordings_in(&page_with(&[&one, &other]).unwrap()), [one, other]);
 }

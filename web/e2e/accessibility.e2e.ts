@@ -100,5 +100,15 @@ describe.skipIf(program === undefined)("accessibility", () => {
     expect(await findings(page)).toEqual([]);
     await page.keyboard.press("h");
     expect(await findings(page)).toEqual([]);
+    // With a bookmark, and beside itself.
+    await page.keyboard.press("Escape");
+    await page.keyboard.press("*");
+    expect(await findings(page)).toEqual([]);
+    const session = join(out, `${TASK}.jsonl`);
+    execFileSync(program!, ["export", session, "--beside", session, "--html", join(out, "both.html")], { stdio: "ignore" });
+    await page.goto(pathToFileURL(join(out, "both.html")).href);
+    await page.waitForFunction(() => window.glissonReplay?.beside?.header != null, undefined, { timeout: MAKING_MS });
+    await page.getByText("Stages and moments of both").click();
+    expect(await findings(page)).toEqual([]);
   });
 });

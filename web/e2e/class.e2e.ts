@@ -1,7 +1,9 @@
 /** Two pages of one simulation: who teaches draws, the learner sees it; control is taken over and given back. */
+import { spawnSync } from "node:child_process";
 import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
+import { pathToFileURL } from "node:url";
 import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import type { Browser, Page } from "playwright-core";
 import { openPage, resultFile, startBrowser, waitForOrgan } from "./browser";
@@ -32,7 +34,7 @@ describe.skipIf(program === undefined)("a class", () => {
     browser = await startBrowser();
     folder = mkdtempSync(join(tmpdir(), "glisson-class-"));
     writeFileSync(join(folder, "scene.toml"), BLOCK);
-    server = await serveProgram(["serve", "scene.toml"], folder);
+    server = await serveProgram(["serve", "scene.toml", "--record", "session.jsonl"], folder);
     learner = await open(server.url);
     teacher = await open(await server.teacherUrl);
   });
@@ -80,6 +82,15 @@ describe.skipIf(program === undefined)("a class", () => {
     await teacher.keyboard.press("Shift+Z");
     await until(learner, () => window.glisson!.drawn.dots === 0);
 
+    // A moment is marked, and then gets its text.
+    await learner.keyboard.press("*");
+    const field = learner.locator(".bookmark-field input");
+    await field.fill("it bleeds");
+    await learner.screenshot({ path: resultFile("class-bookmark.png") });
+    await field.press("Enter");
+    await learner.getByText(/a bookmark at [\d.]+ s: it bleeds/).waitFor(TIME);
+    expect(await field.count()).toBe(0);
+
     // Paused for all, without control; then taken over and given back.
     await teacher.keyboard.press(" ");
     for (const page of [learner, teacher]) await until(page, () => window.glisson!.header!.paused);
@@ -100,5 +111,30 @@ describe.skipIf(program === undefined)("a class", () => {
     await learner.close();
     await teacher.close();
     expect(problems).toEqual([]);
+  });
+
+  it("what was drawn and marked is in the session, and in the page that is made of it", async () => {
+    await server.stop();
+    const exported = spawnSync(program!, ["export", "session.jsonl", "--html", "session.html", "--check"], { cwd: folder, encoding: "utf8" });
+    expect(exported.stdout + exported.stderr).toContain("same bits as the recording");
+    const { page, problems: wrong } = await openPage(browser);
+    await page.goto(pathToFileURL(join(folder, "session.html")).href);
+    await page.waitForFunction(() => window.glissonReplay?.header != null, undefined, TIME);
+    const bookmarks = await page.evaluate(() => window.glissonReplay!.bookmarks);
+    expect(bookmarks.map(({ text, isOwn }) => [text, isOwn])).toEqual([["it bleeds", false]]);
+    // It was erased just before.
+    const places = await page.evaluate(() => window.glissonReplay!.nFrames);
+    const slider = page.getByRole("slider", { name: "Place in the recording" });
+    const dots = async (frame: number): Promise<number> => {
+      await slider.fill(String(frame));
+      await page.waitForFunction((wanted) => window.glissonReplay!.frame === wanted, frame, TIME);
+      return page.evaluate(() => window.glissonReplay!.drawnDots);
+    };
+    expect(await dots(0)).toBe(0);
+    expect(await dots(places - 1)).toBe(0);
+    let most = 0;
+    for (let frame = 0; frame < places; frame += 5) most = Math.max(most, await dots(frame));
+    expect(most).toBeGreaterThan(3);
+    expect(wrong).toEqual([]);
   });
 });

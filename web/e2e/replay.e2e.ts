@@ -10,11 +10,16 @@ import { DIST, openPage, resultFile, startBrowser } from "./browser";
 
 const given = process.env.GLISSON_REPLAY;
 
-function pageOfFixture(): string {
-  const begin = '<script id="recording" type="application/octet-stream">';
-  const [before, after] = readFileSync(`${DIST}/replay.html`, "utf8").split(begin);
-  const path = resultFile("replay.html");
-  writeFileSync(path, before + begin + readFileSync(new URL("../test/recording.glsr.txt", import.meta.url), "utf8").trim() + after);
+const FIXTURE = readFileSync(new URL("../test/recording.glsr.txt", import.meta.url), "utf8").trim();
+
+/** A page with the recording of the unit tests, once or beside itself. */
+function pageOfFixture(name: string, ids: readonly string[]): string {
+  const page = ids.reduce((html, id) => {
+    const begin = `<script id="${id}" type="application/octet-stream">`;
+    return html.replace(begin, begin + FIXTURE);
+  }, readFileSync(`${DIST}/replay.html`, "utf8"));
+  const path = resultFile(name);
+  writeFileSync(path, page);
   return path;
 }
 
@@ -26,7 +31,7 @@ describe(`the player of ${given ?? "the fixture"}`, () => {
   let url: string;
 
   beforeAll(async () => {
-    url = pathToFileURL(given ?? pageOfFixture()).href;
+    url = pathToFileURL(given ?? pageOfFixture("replay.html", ["recording"])).href;
     browser = await startBrowser();
   });
   afterAll(async () => {
@@ -124,7 +129,7 @@ describe(`the player of ${given ?? "the fixture"}`, () => {
       await page.waitForTimeout(1200);
       await page.screenshot({ path: resultFile("replay-moment.png") });
     } else {
-      expect(await page.getByRole("button", { name: "+ Moment" }).count()).toBe(0);
+      expect(await page.getByRole("button", { name: "+ Moment" }).count()).toBe((await report()).bookmarks.length > 0 ? 1 : 0);
     }
     allIsWell();
   });
@@ -143,6 +148,55 @@ describe(`the player of ${given ?? "the fixture"}`, () => {
     expect((await report()).time_s).toBe(1.5);
   });
 
+  it("marks moments, names them, keeps them and takes them along in an address", async () => {
+    await page.keyboard.press("End");
+    await page.keyboard.press("*");
+    const { time_s, bookmarks } = await report();
+    const own = bookmarks.filter(({ isOwn }) => isOwn);
+    expect(own.map((bookmark) => bookmark.time_s)).toEqual([Math.round(100 * time_s) / 100]);
+    // Its text is asked for: keys are letters.
+    await page.keyboard.type("home l");
+    await page.keyboard.press("Enter");
+    await until(() => window.glissonReplay!.bookmarks.some(({ text }) => text === "home l"));
+    await page.keyboard.press("Home");
+    await until(() => window.glissonReplay!.frame === 0);
+    await page.waitForTimeout(1200);
+    await page.screenshot({ path: resultFile("replay-bookmarks.png") });
+    for (let i = 0; i < bookmarks.length + 20 && (await report()).time_s < own[0].time_s; i++) await page.keyboard.press("]");
+    expect((await report()).time_s).toBeCloseTo(own[0].time_s, 2);
+    await page.reload();
+    await until(() => window.glissonReplay?.bookmarks.some(({ text }) => text === "home l") === true);
+    await page.getByRole("button", { name: "Address with these bookmarks" }).click();
+    const address = page.url();
+    expect(address).toMatch(/#t=[\d.]+&b=[\d.]+%7Ehome\+l$/);
+    await page.getByRole("button", { name: /^Remove the bookmark at/ }).click();
+    await until(() => window.glissonReplay!.bookmarks.every(({ isOwn }) => !isOwn));
+    await page.goto("about:blank");
+    await page.goto(address);
+    await until(() => window.glissonReplay?.bookmarks.some(({ isOwn }) => isOwn) === true);
+    await page.getByRole("textbox", { name: /^Text of the bookmark at/ }).waitFor();
+    await page.evaluate(() => localStorage.clear());
+    expect(problems).toEqual([]);
+  });
+
+  it("shows what was kept of the session: bookmarks, and drawings until they were erased", async () => {
+    if (given !== undefined) return;
+    expect((await report()).bookmarks).toEqual([{ time_s: 0.5, text: "here", isOwn: false }]);
+    const dots = async (hash: string) => {
+      await page.evaluate((to) => { window.location.hash = to; }, hash);
+      await page.waitForTimeout(400);
+      return (await report()).drawnDots;
+    };
+    expect(await dots("#t=0.4")).toBe(0);
+    expect(await dots("#t=1.5")).toBeGreaterThan(3);
+    await page.waitForTimeout(1000);
+    await page.screenshot({ path: resultFile("replay-drawn.png") });
+    expect(await dots("#t=2.4")).toBe(0);
+    await page.getByRole("button", { name: "0:00.50 here" }).click();
+    expect((await report()).time_s).toBe(0.5);
+    allIsWell();
+  });
+
   it("turns, shows edges, the other instrument and the keys", async () => {
     await page.keyboard.press("End");
     const picture = () => page.screenshot({ clip: { x: 300, y: 40, width: 640, height: 480 } });
@@ -158,6 +212,13 @@ describe(`the player of ${given ?? "the fixture"}`, () => {
     await page.keyboard.press("w");
     await page.waitForTimeout(1200);
     expect((await picture()).equals(after)).toBe(false);
+    await page.keyboard.press("c");
+    await page.locator("#contacts table, #contacts .contact-note").first().waitFor();
+    if (given === undefined) expect(await page.locator('#contacts [data-kind="tool_organ"]').textContent()).toContain("1.5");
+    await page.waitForTimeout(1200);
+    await page.screenshot({ path: resultFile("replay-contacts.png") });
+    await page.keyboard.press("c");
+    await page.locator("#contacts").waitFor({ state: "hidden" });
     if ((await report()).hello.tools.length > 1) {
       await page.keyboard.press("2");
       await page.waitForFunction(() => document.querySelector('[data-action="tool_2"]')?.getAttribute("aria-pressed") === "true");
@@ -208,5 +269,57 @@ describe(`the player of ${given ?? "the fixture"}`, () => {
     const banner = page.getByRole("alert");
     await banner.waitFor();
     expect(await banner.textContent()).toMatch(/no recording is in this page; `glisson export SESSION --html FILE`/);
+  });
+});
+
+describe("two recordings beside each other", () => {
+  let browser: Browser;
+  beforeAll(async () => { browser = await startBrowser(); });
+  afterAll(async () => { await browser?.close(); });
+
+  it("play on one clock, and their cameras go together until they are let go", async () => {
+    const { page, problems } = await openPage(browser, async () => undefined);
+    await page.goto(pathToFileURL(process.env.GLISSON_REPLAY_PAIR ?? pageOfFixture("replay-pair.html", ["recording", "recording-beside"])).href);
+    const until = (what: () => boolean) => page.waitForFunction(what, undefined, { timeout: 60_000 });
+    const report = () => page.evaluate(() => window.glissonReplay!);
+    await until(() => window.glissonReplay?.header != null && window.glissonReplay.beside?.header != null);
+    await page.getByRole("slider", { name: "Place in the recording" }).fill("20");
+    await until(() => window.glissonReplay!.beside!.frame > 5);
+    await page.waitForTimeout(1500);
+    await page.screenshot({ path: resultFile("replay-pair.png") });
+    expect(await page.locator("#name-a").textContent()).toMatch(/^A .*[\d:.]+ · [\d.]+ m?N$/);
+    expect(await page.locator("#panel").isVisible()).toBe(false);
+    const both = page.getByText("Stages and moments of both");
+    if (await both.isVisible()) {
+      await both.click();
+      await page.locator("#story").getByRole("button").last().click();
+      await page.waitForTimeout(1500);
+      await page.screenshot({ path: resultFile("replay-pair-tasks.png") });
+      await both.click();
+    }
+    await page.keyboard.press("Space");
+    const { frame, beside } = await report();
+    await page.waitForFunction(([a, b]) => window.glissonReplay!.frame > a && window.glissonReplay!.beside!.frame > b, [frame, beside!.frame]);
+    await page.keyboard.press("Space");
+    const drag = async () => {
+      await page.mouse.move(900, 300);
+      await page.mouse.down();
+      await page.mouse.move(980, 320, { steps: 3 });
+      await page.mouse.up();
+      return report();
+    };
+    const together = await drag();
+    expect(together.beside!.azimuth_rad).toBeCloseTo(together.azimuth_rad, 9);
+    await page.getByRole("button", { name: "Cameras together" }).click();
+    const apart = await drag();
+    expect(Math.abs(apart.beside!.azimuth_rad - apart.azimuth_rad)).toBeGreaterThan(0.05);
+    expect(apart.azimuth_rad).toBe(together.azimuth_rad);
+    await page.keyboard.press("g");
+    const again = await report();
+    expect(again.azimuth_rad).toBeCloseTo(again.beside!.azimuth_rad, 9);
+    await page.setViewportSize({ width: 800, height: 600 });
+    await page.waitForTimeout(1200);
+    await page.screenshot({ path: resultFile("replay-pair-small.png") });
+    expect(problems).toEqual([]);
   });
 });

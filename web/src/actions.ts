@@ -28,6 +28,7 @@ export const ACTIONS = [
   "plot_next",
   "plot_save",
   "screenshot",
+  "bookmark",
   "sound",
   "profiler",
   "help",

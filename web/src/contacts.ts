@@ -1,4 +1,4 @@
-/** Key C: contact points are asked for, shown in the picture and counted in a legend. Nothing is sent while they are not shown. */
+/** Key C: contact points are asked for where the page is live, shown in the picture and counted in a legend. Nothing is sent while they are not shown. */
 import type { Connection } from "./connection";
 import { KIND_COLOURS, type ContactMarks } from "./contact_marks";
 import { CONTACT_KINDS, leftOut, type ContactPoints } from "./contact_points";
@@ -43,11 +43,11 @@ export class Contacts {
     legend.setAttribute("aria-label", text("contacts_title"));
   }
 
-  /** Key C. */
-  turn(shown: boolean, connection: Connection): void {
+  /** Key C; a recording has no connection that is asked for them. */
+  turn(shown: boolean, connection: Connection | null): void {
     this.shown = shown;
     this.forget();
-    connection.send({ type: "contacts", shown });
+    connection?.send({ type: "contacts", shown });
   }
 
   /** A new connection knows nothing of what is shown. */

@@ -100,6 +100,7 @@ export const BINDINGS: readonly Binding[] = [
   own("program", "plot_save", "Shift A", [{ key: "a", shift: true }]),
   own("program", "devices", "Shift E", [{ key: "e", shift: true }]),
   own("program", "screenshot", "S", plain("s")),
+  own("program", "bookmark", "*", both("*")),
   own("program", "sound", "Shift S", [{ key: "s", shift: true }]),
   own("program", "profiler", "P", plain("p")),
   own("program", "help", "H or F1", plain("h", "f1", "?")),

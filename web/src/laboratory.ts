@@ -1,8 +1,10 @@
 /** What a laboratory has beside the picture: numbers to turn, the inside of bodies, plots, and the page of input devices. */
 import type { Action } from "./actions";
+import { LiveBookmarks } from "./bookmarks";
 import type { Connection } from "./connection";
 import type { HandMotion } from "./hand_motion";
 import type { Hands } from "./hands";
+import type { DevicesNow } from "./input_devices/dialog";
 import { Inputs, type InputEvents } from "./input_devices/inputs";
 import { Inside } from "./inside/inside";
 import type { Page } from "./page";
@@ -26,6 +28,10 @@ export interface LaboratoryParts {
 export interface LaboratoryEvents extends InputEvents {
   /** The picture is another one. */
   redraw(): void;
+  now(): DevicesNow & {
+    /** Of what is shown [s]; null before there is something. */
+    readonly time_s: number | null;
+  };
 }
 
 export class Laboratory {
@@ -33,8 +39,9 @@ export class Laboratory {
   readonly inside: Inside;
   private readonly turning: Turning;
   private readonly inputs: Inputs;
+  private readonly bookmarks: LiveBookmarks;
 
-  constructor(private readonly parts: LaboratoryParts, events: LaboratoryEvents) {
+  constructor(private readonly parts: LaboratoryParts, private readonly events: LaboratoryEvents) {
     const { page, panel, scene, hands, motion, news, connection } = parts;
     this.plots = new Plots(panel);
     this.turning = new Turning(page.turning, (message) => connection().send(message));
@@ -45,6 +52,7 @@ export class Laboratory {
       events.redraw();
     });
     this.inputs = new Inputs(connection, hands, motion, news, events);
+    this.bookmarks = new LiveBookmarks(page.messages, (message) => connection().send(message));
     news.turned = (parameters) => this.turning.show(parameters);
   }
 
@@ -73,6 +81,11 @@ export class Laboratory {
       case "plane_back":
         this.inside.move(action === "plane_deeper" ? 1 : -1);
         break;
+      case "bookmark": {
+        const { time_s } = this.events.now();
+        if (time_s !== null) this.bookmarks.set(time_s);
+        break;
+      }
       case "plot_next":
         this.plots.next();
         break;

@@ -129,7 +129,7 @@ const GROUPS = [
   [["reset_view", "R"], ["wireframe", "W"], ["fixed_nodes", "T"], ["contacts", "C"], ["forces", "F"], ["field", "⇧C"], ["plane", "⇧X"]],
   [["theatre", "N"], ["wipe", "D"], ["outside", "⇧N"], ["stereo", "⇧D"], ["headset", "⇧V"]],
   [["cut", "X"]],
-  [["panel", "⇧P"], ["screenshot", "S"], ["sound", "⇧S"], ["profiler", "P"], ["devices", "⇧E"], ["help", "H"]],
+  [["panel", "⇧P"], ["bookmark", "*"], ["screenshot", "S"], ["sound", "⇧S"], ["profiler", "P"], ["devices", "⇧E"], ["help", "H"]],
   [["start_page", "⇧Q"]],
 ] as const;
 

@@ -170,6 +170,7 @@ export type ClientMessage =
   | { readonly type: "refine"; readonly tool: number }
   | { readonly type: "undo" }
   | { readonly type: "task_event"; readonly number: number }
+  | { readonly type: "bookmark"; readonly time_s: number; readonly text?: string }
   | { readonly type: "leave" }
   | { readonly type: "take_over" | "give_back" | "erase" }
   | { readonly type: "introduce"; readonly name: string }

@@ -81,7 +81,7 @@ export class Viewer {
     const { panel, scene, hands, motion, news } = this;
     this.lab = new Laboratory({ page, panel, scene, hands, motion, news, connection: () => this.connection }, {
       run: (action, shift, tool) => this.run(action, shift, tool),
-      now: () => ({ hello: this.hello, role: news.role, chosen: hands.chosen }),
+      now: () => ({ hello: this.hello, role: news.role, chosen: hands.chosen, time_s: this.header?.time_s ?? null }),
       changed: () => this.refreshSwitches(),
       redraw: () => this.redraw(),
     });

@@ -9,6 +9,9 @@ import { bytesOfBase64 } from "../src/replay/page";
 import { neighbour, Playback } from "../src/replay/playback";
 import { Recording, type Shown } from "../src/replay/recording";
 import { decodeStory, endingText } from "../src/replay/story";
+import { Bookmarks, bookmarksInFragment, fragmentOf, LONGEST_TEXT, nameOfRecording } from "../src/replay/bookmarks";
+import { Clock } from "../src/replay/clock";
+import { decodeNotes, drawnAt } from "../src/replay/notes";
 import { envelope, timeText } from "../src/replay/timeline";
 
 /** Written by `crates/glisson-view/src/recording/tests.rs`: a sheet of 9 by 9 nodes that sinks where an instrument goes over it. */
@@ -195,5 +198,116 @@ describe("the page's address", () => {
 
   it.each(["", "#", "#t=", "#t=-1", "#t=abc", "#t=1e3", "#t=0x10", "#t=Infinity", "#t=1.", "#time=3"])("%j asks for none", (fragment) => {
     expect(timeInFragment(fragment)).toBeNull();
+  });
+});
+
+describe("what was kept of a session", () => {
+  const bookmark = (time_s: number, text = "") => ({ kind: "bookmark", time_s, text });
+
+  it("is the last text of each moment, in the order of time", () => {
+    const { bookmarks } = decodeNotes([bookmark(3, "c"), bookmark(1), bookmark(1, "a"), { kind: "erased", time_s: 2 }]);
+    expect(bookmarks.map(({ time_s, text }) => [time_s, text])).toEqual([[1, "a"], [3, "c"]]);
+    expect(decodeNotes(undefined)).toEqual({ bookmarks: [], drawings: [] });
+  });
+
+  it("is drawn from its moment until it is erased", () => {
+    const stroke = (x: number) => [[x, 0, 0], [x, 1, 0]];
+    const drawing = (time_s: number, x: number) => ({ kind: "drawing", time_s, points_m: stroke(x) });
+    const notes = decodeNotes([drawing(1, 1), drawing(2, 2), { kind: "erased", time_s: 3 }, drawing(4, 3)]);
+    const drawn = (time_s: number) => drawnAt(notes, time_s).map(([[x]]) => x);
+    expect([0.9, 1, 2.5, 3, 4.5].map(drawn)).toEqual([[], [1], [1, 2], [], [3]]);
+  });
+
+  it.each([[{}], [[{ kind: "bookmark" }]], [[{ kind: "song", time_s: 1 }]], [[{ kind: "drawing", time_s: 1, points_m: [] }]], [[bookmark(-1)]]])(
+    "%j is refused", (notes) => expect(() => decodeNotes(notes)).toThrow(),
+  );
+
+  it("stands in the recording", async () => {
+    const { notes } = await Recording.read(FIXTURE);
+    expect(notes.bookmarks).toEqual([{ time_s: 0.5, text: "here" }]);
+    expect([0.5, 1.5, 2.5].map((time_s) => drawnAt(notes, time_s).length)).toEqual([0, 1, 0]);
+  });
+});
+
+describe("bookmarks of who looks on", () => {
+  const memory = () => {
+    const kept = new Map<string, string>();
+    return { kept, getItem: (key: string) => kept.get(key) ?? null, setItem: (key: string, value: string) => void kept.set(key, value) };
+  };
+  const recorded = [{ time_s: 1, text: "in it" }];
+
+  it("lie between those of the recording, are named, taken away and kept for it alone", () => {
+    const store = memory();
+    const bookmarks = new Bookmarks(() => recorded, "x", 10, store);
+    expect(bookmarks.set(2.503, "  it\u0007 bleeds ")).toBe(2.5);
+    bookmarks.set(0.25, "");
+    expect(bookmarks.all.map(({ time_s, text, isOwn }) => [time_s, text, isOwn])).toEqual([[0.25, "", true], [1, "in it", false], [2.5, "it  bleeds", true]]);
+    bookmarks.set(2.5, "é".repeat(LONGEST_TEXT + 5));
+    expect([...bookmarks.all[2].text].length).toBe(LONGEST_TEXT);
+    bookmarks.remove(0.25);
+    expect(new Bookmarks(() => recorded, "x", 10, store).all.map(({ time_s }) => time_s)).toEqual([1, 2.5]);
+    expect(new Bookmarks(() => recorded, "y", 10, store).all.length).toBe(1);
+  });
+
+  it("come and go with an address, whatever stands in it", () => {
+    const list = [{ time_s: 1.5, text: "50 % & more ~ #1" }, { time_s: 3, text: "" }];
+    const fragment = fragmentOf(12.345, list);
+    expect(fragment.startsWith("#t=12.3")).toBe(true);
+    expect(bookmarksInFragment(fragment)).toEqual(list);
+    expect(bookmarksInFragment("#t=1&b=never&b=&b=1e9&b=-1")).toEqual([]);
+    const bookmarks = new Bookmarks(() => recorded, "x", 2, memory());
+    expect(bookmarks.take(fragment)).toBe(true);
+    expect(bookmarks.ofViewer).toEqual([list[0]]);
+    expect(bookmarks.take("#t=1")).toBe(false);
+  });
+
+  it("are none where the browser's memory has something else, or none", () => {
+    for (const text of ["{", "7", '[{"time_s":"a","text":1},null]']) {
+      const store = memory();
+      store.setItem("glisson_bookmarks_x", text);
+      expect(new Bookmarks(() => [], "x", 1, store).all).toEqual([]);
+    }
+    const full = { getItem: () => null, setItem: () => { throw new Error("full"); } };
+    const bookmarks = new Bookmarks(() => [], "x", 9, full);
+    bookmarks.set(1, "");
+    expect(bookmarks.all.length).toBe(1);
+  });
+
+  it("have a name of their own for each recording", () => {
+    expect(nameOfRecording(FIXTURE)).not.toBe(nameOfRecording(FIXTURE.subarray(0, FIXTURE.length - 1)));
+    const other = FIXTURE.slice();
+    other[40] ^= 1;
+    expect(nameOfRecording(other)).not.toBe(nameOfRecording(FIXTURE));
+  });
+});
+
+describe("the clock", () => {
+  const timed = (begin_s: number, end_s: number, began_s: number | null | undefined = undefined, rate_hz = 10) => ({
+    begin_s, end_s, rate_hz, times_s: [begin_s, end_s], story: began_s === undefined ? null : { began_s },
+  });
+
+  it("of one recording is its time", () => {
+    const clock = new Clock([timed(0.1, 3, 1)]);
+    expect([clock.begin_s, clock.end_s, clock.start_s(0), clock.timeIn(0, 2), clock.frameAt(2.9)]).toEqual([0.1, 3, 0, 2, 0]);
+    expect(clock.canBeginWithTask).toBe(false);
+  });
+
+  it("of two begins with the first motion of both tasks, or with the recordings", () => {
+    const clock = new Clock([timed(0, 4, 1), timed(0, 6, 2, 20)]);
+    expect(clock.beginning).toBe("task");
+    expect([clock.begin_s, clock.end_s]).toEqual([-2, 4]);
+    // A stands at its beginning until its time comes, and at its end when B goes on.
+    expect([-2, -0.5, 0, 1, 4].map((time_s) => clock.timeIn(0, time_s))).toEqual([0, 0.5, 1, 2, 4]);
+    expect([-2, 0, 4].map((time_s) => clock.timeIn(1, time_s))).toEqual([0, 2, 6]);
+    expect(clock.frames_s.length).toBe(6 * 20 + 1);
+    expect(clock.frameAt(-1.45)).toBe(11);
+    clock.beginWith("recording");
+    expect([clock.begin_s, clock.end_s, clock.start_s(0), clock.start_s(1)]).toEqual([0, 6, 0, 0]);
+  });
+
+  it.each([[[timed(0, 4, 1), timed(1, 6)]], [[timed(0, 4, 1), timed(1, 6, null)]]])("begins with the recordings where a task was not begun", (pair) => {
+    const clock = new Clock(pair);
+    expect([clock.beginning, clock.begin_s, clock.end_s]).toEqual(["recording", 0, 5]);
+    expect([clock.timeIn(0, 1), clock.timeIn(1, 1)]).toEqual([1, 2]);
   });
 });

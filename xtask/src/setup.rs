@@ -53,11 +53,21 @@ pub(crate) fn web_packages() -> anyhow::Result<()> {
 /// Where the system's Chromium lies.
 pub(crate) fn chromium() -> anyhow::Result<PathBuf> {
     let name = require(&["chromium", "chromium-browser", "google-chrome"], "chromium", "the browser test")?;
+    on_path(&name).with_context(|| format!("{name} starts, but is in no folder of PATH"))
+}
+
+/// Makes sure that `ffmpeg` is there, which the test of films would pass over.
+pub(crate) fn ffmpeg() -> anyhow::Result<()> {
+    match on_path("ffmpeg") {
+        Some(_) => Ok(()),
+        None => require_file("/usr/bin/ffmpeg", "ffmpeg"),
+    }
+}
+
+/// A program in a folder of PATH.
+fn on_path(name: &str) -> Option<PathBuf> {
     let folders = std::env::var_os("PATH").unwrap_or_default();
-    std::env::split_paths(&folders)
-        .map(|folder| folder.join(&name))
-        .find(|file| file.is_file())
-        .with_context(|| format!("{name} starts, but is in no folder of PATH"))
+    std::env::split_paths(&folders).map(|folder| folder.join(name)).find(|file| file.is_file())
 }
 
 /// Makes sure that `file` is there; installs the Debian `package` that brings it when that is allowed.

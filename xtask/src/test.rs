@@ -59,6 +59,7 @@ pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
             Ok(())
         }
     })?;
+    stages.run("ffmpeg", setup::ffmpeg)?;
     stages.run("viewer: types, lint, unit tests, build", viewer)?;
     // One build with everything in it; without the network only `glisson-net` and its users are other code.
     stages.run("lint", || {

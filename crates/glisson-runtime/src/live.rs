@@ -15,6 +15,7 @@ use glisson::math::DVec3;
 use glisson::model::LevelOfDetail;
 use glisson::model::StateHash;
 use glisson::model::kind::ModelKind;
+use glisson::record::note::Note;
 use glisson::tool::external_detection::ExternalDetection;
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::StepInput;
@@ -26,7 +27,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
 /// What a viewer asks for.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Command {
     /// An instrument should be here.
     Tool {
@@ -71,6 +72,8 @@ pub enum Command {
         /// Its number, from 0.
         number: u32,
     },
+    /// Something is to be kept in the session.
+    Note(Note),
     /// The program ends.
     Stop,
 }
@@ -371,6 +374,10 @@ impl Live {
             Command::Gravity(gravity_m_per_s2) => self.simulation.set_gravity(gravity_m_per_s2)?,
             Command::Turn(turn) => {
                 self.simulation.turn(turn, None)?;
+                return Ok(true);
+            }
+            Command::Note(note) => {
+                self.simulation.note(note);
                 return Ok(true);
             }
             Command::Stop => {}

@@ -170,6 +170,8 @@ fn follow(
                 let turn = Turn { body: usize::from(body), parameter, value };
                 simulation.turn(turn, Some(at_step))?;
             }
+            // For who looks at the session.
+            SessionEvent::Note { .. } => {}
             SessionEvent::Checkpoint { step, state_hash } => {
                 compared.checkpoints += 1;
                 if simulation.world().state_hash() != state_hash {

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! snapshot -> picture (software rasterizer) -> PNG;  numbers -> plot -> SVG
+//! session, step by step -> picture -> film -> MP4 (by ffmpeg)
 //! Published (glisson_runtime) -> server: frames, messages -> WebSocket -> page (web/dist, embedded)
 //! page -> commands -> control (one controls, all may watch) -> Simulation
 //! positions -> quantized -> frames of the server and of recordings
@@ -15,6 +16,7 @@
 
 pub mod plot;
 pub mod picture;
+pub mod film;
 pub mod report;
 mod quantized;
 pub mod server;

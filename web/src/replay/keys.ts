@@ -5,11 +5,11 @@ import { keysIn, LANGUAGE, text } from "../language";
 import type { TextKey } from "../texts_en";
 
 export type PlayerAction =
-  | "play" | "frame_back" | "frame_on" | "second_back" | "second_on" | "begin" | "end" | "slower" | "faster" | "moment_back" | "moment_on"
+  | "play" | "frame_back" | "frame_on" | "second_back" | "second_on" | "begin" | "end" | "slower" | "faster" | "moment_back" | "moment_on" | "bookmark" | "couple" | "align"
   | "reset_view" | "turn_left" | "turn_right" | "turn_up" | "turn_down" | "nearer" | "further" | "wireframe" | "forces" | "fixed_nodes"
-  | "bodies" | "theatre" | "wipe" | "outside" | "detail" | "tool_1" | "tool_2" | "tool_3" | "tool_4" | "tool_5" | "screenshot" | "help" | "leave";
+  | "bodies" | "contacts" | "theatre" | "wipe" | "outside" | "detail" | "tool_1" | "tool_2" | "tool_3" | "tool_4" | "tool_5" | "screenshot" | "help" | "leave";
 
-/** `<` and `>` need Shift on most keyboards, and not on all. */
+/** `<`, `>` and `*` need Shift on most keyboards, and not on all. */
 const typed = (key: string) => [{ key, shift: false }, { key, shift: true }];
 
 /** What the viewer has, in its words. */
@@ -34,14 +34,17 @@ export const PLAYER_BINDINGS: ReadonlyArray<Binding<PlayerAction>> = [
   own("recording", "faster", ">", typed(">")),
   own("recording", "moment_back", "[", plain("[")),
   own("recording", "moment_on", "]", plain("]")),
+  own("recording", "bookmark", "*", typed("*")),
+  own("recording", "align", "B", plain("b")),
   ...asInViewer("reset_view"),
+  own("view", "couple", "G", plain("g")),
   own("view", "turn_left", "J", plain("j"), true),
   own("view", "turn_right", "L", plain("l"), true),
   own("view", "turn_up", "I", plain("i"), true),
   own("view", "turn_down", "K", plain("k"), true),
   own("view", "nearer", "U", plain("u"), true),
   own("view", "further", "O", plain("o"), true),
-  ...asInViewer("wireframe", "forces", "fixed_nodes", "bodies", "theatre", "wipe", "outside", "detail"),
+  ...asInViewer("wireframe", "contacts", "forces", "fixed_nodes", "bodies", "theatre", "wipe", "outside", "detail"),
   own("instrument", "tool_1", "1", plain("1")),
   own("instrument", "tool_2", "2", plain("2")),
   own("instrument", "tool_3", "3", plain("3")),
@@ -62,9 +65,10 @@ export const PLAYER_MOUSE: ReadonlyArray<readonly [string, string]> = [
 export const PLAYER_BUTTONS: ButtonGroups<PlayerAction> = [
   [button("frame_back", text("replay_button_frame_back"), "←"), button("play", text("replay_button_play"), "␣"), button("frame_on", text("replay_button_frame_on"), "→")],
   [button("slower", text("replay_button_slower"), "<"), button("faster", text("replay_button_faster"), ">")],
-  [button("moment_back", text("replay_button_moment_back"), "["), button("moment_on", text("replay_button_moment_on"), "]")],
+  [button("moment_back", text("replay_button_moment_back"), "["), button("moment_on", text("replay_button_moment_on"), "]"), button("bookmark", text("replay_bookmark"), "*")],
+  [button("couple", text("replay_button_couple"), "G"), button("align", text("replay_button_align"), "B")],
   [button("tool_1", "1", "1"), button("tool_2", "2", "2"), button("tool_3", "3", "3"), button("tool_4", "4", "4"), button("tool_5", "5", "5")],
-  [button("reset_view", text("button_reset_view"), "R"), button("wireframe", text("button_wireframe"), "W"), button("fixed_nodes", text("button_fixed_nodes"), "T"), button("forces", text("button_forces"), "F")],
+  [button("reset_view", text("button_reset_view"), "R"), button("wireframe", text("button_wireframe"), "W"), button("fixed_nodes", text("button_fixed_nodes"), "T"), button("contacts", text("button_contacts"), "C"), button("forces", text("button_forces"), "F")],
   [button("theatre", text("button_theatre"), "N"), button("wipe", text("button_wipe"), "D"), button("outside", text("button_outside"), "⇧N")],
   [button("screenshot", text("button_screenshot"), "S"), button("help", text("button_help"), "H")],
 ];

@@ -3,7 +3,8 @@ import "../style.css";
 import "../lists.css";
 import "./replay.css";
 import { text, translatePage } from "../language";
-import { findReplayPage, recordingInPage } from "./page";
+import { nameOfRecording } from "./bookmarks";
+import { findReplayPage, recordingsInPage } from "./page";
 import { Player, type PlayerReport } from "./player";
 import { Recording } from "./recording";
 
@@ -17,9 +18,10 @@ declare global {
 async function start(): Promise<void> {
   translatePage();
   const page = findReplayPage();
-  const bytes = recordingInPage();
-  if (bytes === null) throw new Error(text("replay_no_recording"));
-  const player = new Player(page, await Recording.read(bytes));
+  const all = recordingsInPage();
+  if (all.length === 0) throw new Error(text("replay_no_recording"));
+  const recordings = await Promise.all(all.map((bytes) => Recording.read(bytes)));
+  const player = new Player(page, recordings, all.map(nameOfRecording).join("+"));
   Object.defineProperty(window, "glissonReplay", { get: () => player.report() });
 }
 

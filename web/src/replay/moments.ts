@@ -1,6 +1,7 @@
 /** The list of a task's stages and of the moments that went wrong: each is a button that jumps there. */
 import { text } from "../language";
 import { clockText } from "../task";
+import { COLOURS, element, entryButton, LETTERS } from "./entry";
 import { endingText, type Story } from "./story";
 
 interface Entry {
@@ -9,11 +10,17 @@ interface Entry {
   readonly button: HTMLButtonElement;
 }
 
-function element(name: string, className: string, words = ""): HTMLElement {
-  const node = document.createElement(name);
-  node.className = className;
-  node.textContent = words;
-  return node;
+/** Where what is told of one of two recordings is listed: in a part that is shut, for it lies over a picture. */
+export function storyOf(story: HTMLElement, recording: number): HTMLElement {
+  const both = story.querySelector("details") ?? story.appendChild(document.createElement("details"));
+  story.setAttribute("aria-label", text("replay_both_tasks"));
+  if (recording === 0) both.append(element("summary", "", text("replay_both_tasks")));
+  const part = element("section", "story-part");
+  part.style.setProperty("--colour", COLOURS[recording]);
+  part.dataset.letter = `${LETTERS[recording]} `;
+  part.style.setProperty("--letter", `"${LETTERS[recording]} "`);
+  both.append(part);
+  return part;
 }
 
 export class MomentList {
@@ -22,21 +29,12 @@ export class MomentList {
   constructor(root: HTMLElement, story: Story | null, jump: (time_s: number, tool: number | null) => void) {
     root.hidden = story === null;
     if (story === null) return;
-    root.setAttribute("aria-label", text("replay_task", { title: story.title }));
+    root.setAttribute("aria-label", text("replay_task", { title: (root.dataset.letter ?? "") + story.title }));
     const ending = element("p", "story-ending", endingText(story));
     ending.dataset.passed = String(story.isPassed);
     root.append(element("h2", "", story.title), ending);
     const entry = (from_s: number, to_s: number, title: string, detail: string, tool: number | null): HTMLElement => {
-      const button = document.createElement("button");
-      button.type = "button";
-      const words = element("span", "story-words", title);
-      if (detail !== "") words.append(element("span", "story-detail", detail));
-      button.append(element("span", "story-time", clockText(from_s)), words);
-      button.addEventListener("click", (event) => {
-        jump(from_s, tool);
-        // After a mouse click the space bar should play, not press this button.
-        if (event.detail > 0) button.blur();
-      });
+      const button = entryButton(clockText(from_s), title, () => jump(from_s, tool), detail);
       this.entries.push({ from_s, to_s, button });
       const item = document.createElement("li");
       item.append(button);

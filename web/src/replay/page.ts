@@ -1,3 +1,5 @@
+import { text } from "../language";
+
 /** The fixed parts of replay.html. */
 export interface ReplayPage {
   readonly scene: HTMLCanvasElement;
@@ -6,11 +8,15 @@ export interface ReplayPage {
   readonly messages: HTMLElement;
   readonly bodies: HTMLElement;
   readonly story: HTMLElement;
+  readonly bookmarks: HTMLElement;
+  readonly contacts: HTMLElement;
   readonly transport: HTMLElement;
   readonly timeline: HTMLElement;
   readonly toolbar: HTMLElement;
   readonly hint: HTMLElement;
   readonly outside: HTMLElement;
+  /** What two recordings are called, above their pictures. */
+  readonly names: readonly HTMLElement[];
 }
 
 function part<T extends HTMLElement>(id: string): T {
@@ -28,33 +34,57 @@ export function findReplayPage(): ReplayPage {
     messages: part("messages"),
     bodies: part("bodies"),
     story: part("story"),
+    bookmarks: part("bookmarks"),
+    contacts: part("contacts"),
     transport: part("transport"),
     timeline: part("timeline"),
     toolbar: part("toolbar"),
     hint: part("hint"),
     outside: part("outside"),
+    names: [part("name-a"), part("name-b")],
   };
+}
+
+/** Makes room for a second picture, and what belongs to it. */
+export function partsBeside(page: ReplayPage): ReplayPage {
+  document.body.classList.add("pair");
+  const scene = document.createElement("canvas");
+  scene.id = "scene-beside";
+  scene.tabIndex = 0;
+  scene.setAttribute("aria-label", text("replay_scene_beside"));
+  page.scene.after(scene);
+  const outside = document.createElement("div");
+  outside.id = "outside-beside";
+  outside.hidden = true;
+  outside.setAttribute("role", "img");
+  outside.setAttribute("aria-label", text("outside_label"));
+  page.outside.after(outside);
+  for (const name of page.names) name.hidden = false;
+  // What touches is counted for the first one alone.
+  return { ...page, scene, outside, contacts: document.createElement("div") };
 }
 
 /** Letters of base64 that are decoded at once: whole groups of four. */
 const PORTION = 1 << 20;
 
 /** Decodes base64. @throws Error if it is none */
-export function bytesOfBase64(text: string): Uint8Array {
-  const bytes = new Uint8Array(Math.floor((text.length * 3) / 4));
+export function bytesOfBase64(letters: string): Uint8Array {
+  const bytes = new Uint8Array(Math.floor((letters.length * 3) / 4));
   let n = 0;
-  for (let at = 0; at < text.length; at += PORTION) {
-    const portion = atob(text.slice(at, at + PORTION));
+  for (let at = 0; at < letters.length; at += PORTION) {
+    const portion = atob(letters.slice(at, at + PORTION));
     for (let i = 0; i < portion.length; i++) bytes[n++] = portion.charCodeAt(i);
   }
   return bytes.subarray(0, n);
 }
 
-/** The recording that `glisson export` put into the page; null for none. */
-export function recordingInPage(): Uint8Array | null {
-  const element = document.getElementById("recording");
-  const text = element?.textContent?.trim() ?? "";
-  // The letters are not needed any more.
-  element?.remove();
-  return text === "" ? null : bytesOfBase64(text);
+/** The recordings that `glisson export` put into the page: none, one, or two to be compared. */
+export function recordingsInPage(): Uint8Array[] {
+  return ["recording", "recording-beside"].flatMap((id) => {
+    const element = document.getElementById(id);
+    const letters = element?.textContent?.trim() ?? "";
+    // They are not needed any more.
+    element?.remove();
+    return letters === "" ? [] : [bytesOfBase64(letters)];
+  });
 }

@@ -11,8 +11,11 @@ export class Playback {
   constructor(
     private readonly begin_s: number,
     private readonly end_s: number,
+    before?: Playback,
   ) {
     this.time_s = begin_s;
+    // As fast as before, and going on.
+    if (before !== undefined) [this.speedNumber, this.playing] = [before.speedNumber, before.playing];
   }
 
   get speed(): number {

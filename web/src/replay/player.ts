@@ -3,27 +3,30 @@ import { BodyList } from "../bodies";
 import { ButtonBar } from "../button_bar";
 import { Controls } from "../controls";
 import { actionIn, toolNumber } from "../keys";
-import { panned, turned, zoomed, type Orbit } from "../orbit";
+import { panned, turned, zoomed } from "../orbit";
 import { nextDetail, type DetailChoice } from "../detail";
 import { text } from "../language";
 import { drawOrientation } from "../orientation";
 import { SURFACE_STYLES } from "../organ";
 import { Help, helpOf, Messages, savePicture } from "../overlays";
-import { Panel, panelValues } from "../panel";
+import { forceText, Panel, panelValues } from "../panel";
 import { drawChart, forceChart } from "../charts";
-import { arrowScale_m_per_n, ForceHistory, PLOT_SPAN_S } from "../plot";
-import { headerOfHand, type HandHeader, type Hello, type SnapshotHeader, type Topology } from "../protocol";
-import { Resolution } from "../resolution";
-import { Scene3d } from "../scene3d";
-import { Theatre } from "../theatre/view";
-import { between } from "./between";
+import { ForceHistory, PLOT_SPAN_S } from "../plot";
+import type { HandHeader, Hello } from "../protocol";
+import type { Theatre } from "../theatre/view";
+import { BookmarkList } from "./bookmark_list";
+import { Bookmarks, type ListedBookmark } from "./bookmarks";
+import type { Beginning } from "./clock";
+import type { Bookmark } from "./notes";
+import { COLOURS, LETTERS } from "./entry";
 import { timeInFragment } from "./fragment";
 import { PLAYER_BINDINGS, PLAYER_BUTTONS, PLAYER_MOUSE, type PlayerAction } from "./keys";
-import { MomentList } from "./moments";
-import type { ReplayPage } from "./page";
+import { MomentList, storyOf } from "./moments";
+import { partsBeside, type ReplayPage } from "./page";
 import { neighbour, Playback } from "./playback";
-import type { Recording, Shown } from "./recording";
-import { Timeline } from "./timeline";
+import type { Recording } from "./recording";
+import { Timeline, timeText } from "./timeline";
+import { Views } from "./views";
 
 /** A press of a key turns the view as so many pixels do. */
 const KEY_TURN = 24;
@@ -43,116 +46,130 @@ export interface PlayerReport {
   readonly hello: Hello;
   readonly theatre: ReturnType<Theatre["report"]>;
   readonly messages: readonly string[];
+  readonly bookmarks: readonly ListedBookmark[];
+  /** How many dots are drawn on the tissue. */
+  readonly drawnDots: number;
+  /** Of the recording beside it; null where there is none. */
+  readonly beside: { readonly frame: number; readonly time_s: number; readonly header: HandHeader | null; readonly azimuth_rad: number } | null;
+  readonly azimuth_rad: number;
 }
 
 export class Player {
-  private readonly scene: Scene3d;
-  private readonly theatre: Theatre;
+  private readonly views: Views;
   private readonly panel: Panel;
   private readonly messages: Messages;
   private readonly help: Help;
   private readonly bar: ButtonBar<PlayerAction>;
   private readonly bodies: BodyList;
   private readonly timeline: Timeline;
-  private readonly list: MomentList;
-  private readonly playback: Playback;
-  private readonly resolution = new Resolution();
+  private readonly lists: readonly MomentList[];
+  private readonly bookmarks: BookmarkList;
+  private playback: Playback;
   private readonly history = new ForceHistory();
-  /** Of each instrument, the largest force in all of the recording [N]. */
-  private readonly largest_n: readonly number[];
-  private hello: Hello;
-  private topology: Topology | null = null;
-  private header: HandHeader | null = null;
-  private shownFrame = -1;
-  /** As drawn, between that frame and the next. */
-  private drawn: SnapshotHeader | null = null;
-  private drawn_s = -1;
   private viewChanged = true;
-  private sceneChanged = true;
   private frameAsked = false;
   private lastFrame_ms: number | null = null;
-  private readonly shown = { style: 0, forces: true, fixedNodes: false, detail: "auto" as DetailChoice };
+  private readonly shown = { style: 0, contacts: false, forces: true, fixedNodes: false, detail: "auto" as DetailChoice };
 
-  constructor(private readonly page: ReplayPage, private readonly recording: Recording) {
-    this.hello = recording.helloAt(0);
-    this.playback = new Playback(recording.begin_s, recording.end_s);
-    this.largest_n = this.hello.tools.map((_, tool) => recording.forces_n.reduce((max, forces) => Math.max(max, forces[tool] ?? 0), 0));
+  /** `recordings`: one, or two to be compared; `name`: of what is in the page, for what the browser keeps of it. */
+  constructor(private readonly page: ReplayPage, recordings: readonly Recording[], name: string) {
     this.messages = new Messages(page.messages);
-    this.scene = new Scene3d(page.scene);
-    this.scene.setDetail(this.shown.detail);
+    const parts = recordings.length > 1 ? [page, partsBeside(page)] : [page];
+    this.views = new Views(parts, recordings, {
+      began: () => this.began(),
+      ready: () => this.invalidate(),
+      failed: (error) => this.fail(error),
+    });
+    const { views } = this;
+    this.playback = new Playback(views.clock.begin_s, views.clock.end_s);
+    for (const { scene } of views.all) scene.setDetail(this.shown.detail);
     this.panel = new Panel(page.panel, false);
     this.help = new Help(document.body, [[text("group_mouse"), PLAYER_MOUSE], ...helpOf(PLAYER_BINDINGS)]);
-    this.bodies = new BodyList(page.bodies, (hidden) => { this.scene.hide(hidden); this.redraw(); });
+    this.bodies = new BodyList(page.bodies, (hidden) => { for (const { scene } of views.all) scene.hide(hidden); this.redraw(); });
     this.bar = new ButtonBar(page.toolbar, PLAYER_BUTTONS, PLAYER_BINDINGS, (action) => this.run(action));
-    this.theatre = new Theatre(this.scene, { ...page, toolbar: page.transport });
-    this.timeline = new Timeline(page.timeline, recording, (frame) => this.jumpToFrame(frame));
-    this.list = new MomentList(page.story, recording.story, (time_s, tool) => {
+    this.timeline = new Timeline(page.timeline, (frame) => this.jumpToFrame(frame));
+    this.lists = views.all.map(({ recording: { story } }, i) => new MomentList(views.isPair ? storyOf(page.story, i) : page.story, story, (time_s, tool) => {
       if (tool !== null) this.choose(tool);
-      this.jump(time_s);
+      this.jump(time_s - views.clock.start_s(i));
+    }));
+    page.story.hidden = views.all.every(({ recording }) => recording.story === null);
+    // In the time of the first recording.
+    const recorded = (): Bookmark[] => views.all.flatMap(({ recording: { notes } }, i) => notes.bookmarks.map((bookmark) => ({ ...bookmark, time_s: bookmark.time_s - views.clock.start_s(i) + views.clock.start_s(0) })));
+    this.bookmarks = new BookmarkList(page.bookmarks, new Bookmarks(recorded, name, views.clock.end_s + views.clock.start_s(0), window.localStorage), {
+      jump: (time_s) => this.jump(time_s - views.clock.start_s(0)),
+      now: () => this.playback.time_s + views.clock.start_s(0),
+      changed: () => this.showBookmarks(),
+      notice: (words) => this.messages.notice(words),
     });
-    new Controls(page.scene, {
-      isOnOrgan: () => false,
-      pushBegin: () => undefined,
-      pushMove: () => undefined,
-      pushEnd: () => undefined,
-      turn: (dx, dy) => this.look(turned(this.scene.orbit, dx, dy, this.scene.height)),
-      move: (dx, dy) => this.look(panned(this.scene.orbit, dx, dy, this.scene.height)),
-      wheel: (notches) => this.look(zoomed(this.scene.orbit, notches)),
+    views.all.forEach(({ scene }, i) => {
+      new Controls(scene.canvas, {
+        isOnOrgan: () => false,
+        pushBegin: () => undefined,
+        pushMove: () => undefined,
+        pushEnd: () => undefined,
+        turn: (dx, dy) => this.look((orbit, height) => turned(orbit, dx, dy, height), i),
+        move: (dx, dy) => this.look((orbit, height) => panned(orbit, dx, dy, height), i),
+        wheel: (notches) => this.look((orbit) => zoomed(orbit, notches), i),
+      });
+      scene.canvas.addEventListener("webglcontextlost", () => this.messages.error(text("graphics_lost")));
     });
     window.addEventListener("keydown", (event) => this.key(event));
     window.addEventListener("hashchange", () => this.jumpToAddress());
     window.addEventListener("error", (event) => this.messages.error(text("page_error", { message: event.message })));
     window.addEventListener("unhandledrejection", (event) => this.messages.error(text("page_error", { message: String(event.reason) })));
-    page.scene.addEventListener("webglcontextlost", () => this.messages.error(text("graphics_lost")));
-    this.begin(this.hello);
+    for (const view of views.all) view.begin();
     const sizes = new ResizeObserver(() => this.resize());
     for (const part of [page.scene.parentElement!, page.transport, page.story]) sizes.observe(part);
     this.resize();
-    this.scene.resetView();
+    views.resetView();
     this.jumpToAddress();
   }
 
-  private begin(hello: Hello): void {
-    const { chosen } = this.scene;
-    this.hello = hello;
-    this.topology = null;
-    this.scene.begin(hello);
+  /** The recording's scene is another one, or the first. */
+  private began(): void {
+    const { views, bar } = this;
+    const { hello, scene } = views.first;
+    const tracks = views.all.map(({ recording }, i) => ({ recording, start_s: views.clock.start_s(i), colour: COLOURS[i] }));
+    this.timeline.begin(tracks, views.clock.frames_s);
+    for (const action of ["couple", "align"] as const) bar.offer(action, action === "couple" ? views.isPair : views.clock.canBeginWithTask);
     this.bodies.begin(hello.bodies);
     hello.tools.forEach(({ name }, tool) => this.bar.name(`tool_${tool + 1}` as PlayerAction, name));
     for (const tool of [0, 1, 2, 3]) this.bar.offer(`tool_${tool + 1}` as PlayerAction, hello.tools.length > 1 && tool < hello.tools.length);
-    const hasMoments = (this.recording.story?.moments.length ?? 0) > 0;
-    for (const action of ["moment_back", "moment_on"] as const) this.bar.offer(action, hasMoments);
-    this.theatre.begin(hello, chosen);
-    this.choose(Math.min(chosen, hello.tools.length - 1));
+    this.showBookmarks();
+    this.timeline.choose(scene.chosen, hello.tools[scene.chosen].name);
     document.title = text("replay_title", { scene: hello.scene.name });
   }
 
   private choose(tool: number): void {
-    const { length } = this.hello.tools;
-    if (tool >= length) return this.messages.error(text("no_instrument", { n: tool + 1, m: length }));
-    this.scene.choose(tool);
-    this.theatre.choose(tool);
-    this.timeline.choose(tool, this.hello.tools[tool].name);
-    if (this.header !== null) this.header = headerOfHand(this.header, tool);
+    const { tools } = this.views.first.hello;
+    if (tool >= tools.length) return this.messages.error(text("no_instrument", { n: tool + 1, m: tools.length }));
+    for (const view of this.views.all) if (tool < view.hello.tools.length) view.choose(tool);
+    this.timeline.choose(tool, tools[tool].name);
     this.redraw();
   }
 
-  private look(orbit: Orbit): void {
-    // Through the endoscope the recording looks where it looked.
-    if (this.theatre.on) return;
-    this.scene.setOrbit(orbit);
+  private look(change: Parameters<Views["look"]>[1], view = this.views.active): void {
+    this.views.look(view, change);
     this.redraw();
   }
 
   private jump(time_s: number): void {
     const before_s = this.playback.time_s;
     this.playback.jump(time_s);
-    if (this.playback.time_s < before_s || this.playback.time_s > before_s + JUMP_S) this.theatre.smear = 0;
+    if (this.playback.time_s < before_s || this.playback.time_s > before_s + JUMP_S) for (const { theatre } of this.views.all) theatre.smear = 0;
     this.redraw();
   }
 
-  /** Goes to the time in the page's address, if there is one: reports link to moments. */
+  /** What can be gone to by keys, marks on the curve. */
+  private showBookmarks(): void {
+    this.timeline.mark(this.bookmarks_s);
+    for (const action of ["moment_back", "moment_on"] as const) this.bar.offer(action, this.moments_s.length > 0);
+    this.redraw();
+  }
+
+  /** Goes to the time in the page's address, if there is one: reports link to moments. Takes the bookmarks that it brings. */
   private jumpToAddress(): void {
+    this.bookmarks.take(window.location.hash);
     const time_s = timeInFragment(window.location.hash);
     if (time_s === null) return;
     this.playback.playing = false;
@@ -161,18 +178,30 @@ export class Player {
 
   private jumpToFrame(frame: number): void {
     this.playback.playing = false;
-    this.jump(this.recording.times_s[Math.min(this.recording.nFrames - 1, Math.max(0, frame))]);
+    const { frames_s } = this.views.clock;
+    this.jump(frames_s[Math.min(frames_s.length - 1, Math.max(0, frame))]);
+  }
+
+  /** Where bookmarks are on the clock [s]. */
+  private get bookmarks_s(): number[] {
+    return this.bookmarks.all.map(({ time_s }) => time_s - this.views.clock.start_s(0));
+  }
+
+  /** What went wrong, and bookmarks. */
+  private get moments_s(): number[] {
+    const { views } = this;
+    const wrong_s = views.all.flatMap(({ recording }, i) => (recording.story?.moments ?? []).map(({ from_s }) => from_s - views.clock.start_s(i)));
+    return [...wrong_s, ...this.bookmarks_s].sort((a, b) => a - b);
   }
 
   private jumpToMoment(forward: boolean): void {
-    const times_s = (this.recording.story?.moments ?? []).map(({ from_s }) => from_s);
-    const time_s = neighbour(times_s, this.playback.time_s, forward);
+    const time_s = neighbour(this.moments_s, this.playback.time_s, forward);
     if (time_s !== null) this.jump(time_s);
   }
 
   private redraw(): void {
     this.viewChanged = true;
-    this.sceneChanged = true;
+    this.views.change();
     this.invalidate();
   }
 
@@ -180,15 +209,18 @@ export class Player {
     const [panel, story, transport] = [this.page.panel, this.page.story, this.page.transport].map((part) => part.getBoundingClientRect());
     // On a narrow page panel and list lie over the organ instead of beside it.
     const left = window.innerWidth > 860 ? panel.right : 0;
-    const right = window.innerWidth > 1180 && story.width > 0 ? this.scene.width - story.left : 0;
-    this.scene.setCovered(left, right, this.scene.height - transport.top);
-    this.scene.resize();
-    this.theatre.layOut();
+    const { views } = this;
+    for (const view of views.all) {
+      const { width, height } = view.scene;
+      const right = window.innerWidth > 1180 && story.width > 0 && !views.isPair ? width - story.left : 0;
+      view.resize(views.isPair ? 0 : left, right, height - transport.top);
+    }
     document.documentElement.style.setProperty("--transport", `${this.page.transport.offsetHeight}px`);
     this.redraw();
   }
 
   private key(event: KeyboardEvent): void {
+    if (event.target instanceof HTMLInputElement && event.target.type === "text") return;
     const onButton = event.target instanceof HTMLButtonElement && (event.key === " " || event.key === "Enter");
     const action = onButton ? null : actionIn(event, PLAYER_BINDINGS);
     if (action === null) return;
@@ -197,59 +229,92 @@ export class Player {
   }
 
   private run(action: PlayerAction): void {
-    const { recording, playback, scene } = this;
+    const { playback, views } = this;
     const tool = toolNumber(action);
     if (tool !== null) this.choose(tool);
-    const turn = (dx: number, dy: number): void => this.look(turned(scene.orbit, dx, dy, scene.height));
+    const turn = (dx: number, dy: number): void => this.look((orbit, height) => turned(orbit, dx, dy, height));
+    const scenes = views.all.map(({ scene }) => scene);
     switch (action) {
       case "play": playback.toggle(); break;
       case "frame_back": this.jumpToFrame(this.frameNow - 1); break;
       case "frame_on": this.jumpToFrame(this.frameNow + 1); break;
       case "second_back": this.jump(playback.time_s - 1); break;
       case "second_on": this.jump(playback.time_s + 1); break;
-      case "begin": this.jump(recording.begin_s); break;
-      case "end": this.jump(recording.end_s); break;
+      case "begin": this.jump(views.clock.begin_s); break;
+      case "end": this.jump(views.clock.end_s); break;
       case "slower": playback.faster(-1); break;
       case "faster": playback.faster(1); break;
       case "moment_back": this.jumpToMoment(false); break;
       case "moment_on": this.jumpToMoment(true); break;
-      case "reset_view": scene.resetView(); break;
+      case "bookmark":
+        playback.playing = false;
+        this.bookmarks.mark();
+        break;
+      case "couple":
+        views.coupled = !views.coupled;
+        if (views.coupled) views.follow(views.active);
+        break;
+      case "align": this.beginWith(views.clock.beginning === "task" ? "recording" : "task"); break;
+      case "reset_view": views.resetView(); break;
       case "turn_left": turn(KEY_TURN, 0); break;
       case "turn_right": turn(-KEY_TURN, 0); break;
       case "turn_up": turn(0, KEY_TURN); break;
       case "turn_down": turn(0, -KEY_TURN); break;
-      case "nearer": this.look(zoomed(scene.orbit, 1)); break;
-      case "further": this.look(zoomed(scene.orbit, -1)); break;
+      case "nearer": this.look((orbit) => zoomed(orbit, 1)); break;
+      case "further": this.look((orbit) => zoomed(orbit, -1)); break;
       case "wireframe":
         this.shown.style = (this.shown.style + 1) % SURFACE_STYLES.length;
-        scene.setStyle(SURFACE_STYLES[this.shown.style]);
+        for (const scene of scenes) scene.setStyle(SURFACE_STYLES[this.shown.style]);
+        break;
+      case "contacts":
+        this.shown.contacts = !this.shown.contacts;
+        for (const view of views.all) view.showContacts(this.shown.contacts);
         break;
       case "forces": this.shown.forces = !this.shown.forces; break;
       case "fixed_nodes":
         this.shown.fixedNodes = !this.shown.fixedNodes;
-        scene.showFixed(this.shown.fixedNodes);
+        for (const scene of scenes) scene.showFixed(this.shown.fixedNodes);
         break;
       case "bodies": this.bodies.hideNext(); break;
       case "theatre":
-        if (this.theatre.endoscope === null) this.messages.notice(text("replay_no_endoscope"));
-        else this.theatre.turn(!this.theatre.on);
+        this.turnTheatre();
         break;
-      case "wipe": this.theatre.smear = 0; break;
-      case "outside": this.theatre.toggleOutside(); break;
+      case "wipe": for (const { theatre } of views.all) theatre.smear = 0; break;
+      case "outside": for (const { theatre } of views.all) theatre.toggleOutside(); break;
       case "detail":
         this.shown.detail = nextDetail(this.shown.detail);
-        scene.setDetail(this.shown.detail);
+        for (const scene of scenes) scene.setDetail(this.shown.detail);
         this.messages.notice(text(`detail_${this.shown.detail}`));
         break;
-      case "screenshot": void savePicture(scene.picture(this.page.orientation), this.header?.step ?? 0, this.messages); break;
+      case "screenshot": void savePicture(scenes[views.active].picture(this.page.orientation), views.all[views.active].header?.step ?? 0, this.messages); break;
       case "help": this.help.open = !this.help.open; break;
       case "leave": this.help.open = false; break;
     }
     this.redraw();
   }
 
+  /** All look through their endoscopes, or from outside. */
+  private turnTheatre(): void {
+    const theatres = this.views.all.map(({ theatre }) => theatre).filter(({ endoscope }) => endoscope !== null);
+    if (theatres.length === 0) return this.messages.notice(text("replay_no_endoscope"));
+    const on = !theatres[0].on;
+    for (const theatre of theatres) if (theatre.on !== on) theatre.turn(on);
+  }
+
+  /** Both are seen from another beginning on; the clock stays at the same place of the first one. */
+  private beginWith(beginning: Beginning): void {
+    const { views } = this;
+    if (!views.clock.canBeginWithTask) return;
+    const time_s = views.clock.timeIn(0, this.playback.time_s);
+    views.clock.beginWith(beginning);
+    this.playback = new Playback(views.clock.begin_s, views.clock.end_s, this.playback);
+    this.began();
+    this.bookmarks.show();
+    this.jump(time_s - views.clock.start_s(0));
+  }
+
   private get frameNow(): number {
-    return this.recording.frameAt(this.playback.time_s);
+    return this.views.clock.frameAt(this.playback.time_s);
   }
 
   private invalidate(): void {
@@ -263,47 +328,12 @@ export class Player {
     const dt_s = Math.min(LONGEST_FRAME_S, Math.max(0, (now_ms - (this.lastFrame_ms ?? now_ms)) / 1000));
     this.playback.advance(dt_s);
     this.lastFrame_ms = this.playback.playing ? now_ms : null;
-    this.take(this.frameNow);
-    if (this.sceneChanged && this.drawn !== null) {
-      this.scene.styleTools(arrowScale_m_per_n(Math.max(...this.largest_n)), this.shown.forces, true);
-      this.scene.showTools(this.drawn);
-      this.theatre.take(this.drawn);
-      this.scene.render(this.resolution.moving(now_ms));
-      this.sceneChanged = false;
-      this.scene.renderFinerAtRest(() => this.sceneChanged);
-    }
+    this.views.take(this.playback.time_s);
+    this.views.draw(now_ms, this.shown.forces);
     this.showWords();
-    if (this.viewChanged) drawOrientation(this.page.orientation, this.scene.orbit, this.scene.height);
+    if (this.viewChanged) drawOrientation(this.page.orientation, this.views.first.scene.orbit, this.views.first.scene.height);
     this.viewChanged = false;
     if (this.playback.playing) this.invalidate();
-  }
-
-  /** Takes a frame of the recording to the picture, as soon as it is unpacked, and what is on the way to the next one. */
-  private take(frame: number): void {
-    const { recording, playback: { time_s } } = this;
-    if (frame === this.shownFrame && time_s === this.drawn_s) return;
-    try {
-      const look = (at: number): Shown | null => recording.at(at, () => this.invalidate(), (error) => this.fail(error));
-      const found = look(frame);
-      if (found === null) return;
-      const hello = recording.helloAt(frame);
-      if (hello !== this.hello) this.begin(hello);
-      if (found.topology.version !== this.topology?.version) {
-        this.topology = found.topology;
-        this.scene.setTopology(found.topology);
-      }
-      const next = frame + 1 < recording.nFrames ? look(frame + 1) : null;
-      const share = next === null ? 0 : (time_s - recording.times_s[frame]) / (recording.times_s[frame + 1] - recording.times_s[frame]);
-      const drawn = next === null ? found.snapshot : between(found.snapshot, next.snapshot, Math.min(1, share));
-      this.scene.show(drawn);
-      this.drawn = drawn.header;
-      this.drawn_s = time_s;
-      this.header = headerOfHand(found.snapshot.header, this.scene.chosen);
-      this.shownFrame = frame;
-      this.sceneChanged = true;
-    } catch (error) {
-      this.fail(error);
-    }
   }
 
   private fail(error: unknown): void {
@@ -313,9 +343,9 @@ export class Player {
 
   /** Panel, plot, timeline, lists and switches. */
   private showWords(): void {
-    const { recording, playback, scene: { chosen } } = this;
-    const header = this.header && { ...this.header, paused: !playback.playing };
-    const frame = this.frameNow;
+    const { playback, views, views: { first: { recording, hello, theatre, header: shownHeader, arrowScale_m_per_n, scene: { chosen } } } } = this;
+    const header = shownHeader && { ...shownHeader, paused: !playback.playing };
+    const frame = recording.frameAt(views.clock.timeIn(0, playback.time_s));
     this.history.clear();
     let peak_n = 0;
     for (let i = 0; i <= frame; i++) {
@@ -323,28 +353,36 @@ export class Player {
       peak_n = Math.max(peak_n, force_n);
       if (time_s >= recording.times_s[frame] - PLOT_SPAN_S) this.history.add({ time_s, force_n });
     }
-    const values = panelValues(this.hello, header, peak_n, arrowScale_m_per_n(Math.max(...this.largest_n)), chosen);
+    const values = panelValues(hello, header, peak_n, arrowScale_m_per_n, chosen);
     const state = playback.playing ? (playback.speed === 1 ? text("replay_state_playing") : text("replay_state_playing_at", { speed: playback.speed })) : text("value_paused");
     this.panel.show({ ...values, state }, header);
     drawChart(this.panel.plot, forceChart(this.history));
-    this.timeline.show(frame, playback.time_s, playback.speed);
-    this.list.show(playback.time_s);
-    const { bar, shown, theatre } = this;
+    this.timeline.show(this.frameNow, playback.time_s, playback.speed);
+    this.lists.forEach((list, i) => list.show(views.clock.timeIn(i, playback.time_s)));
+    if (views.isPair) this.page.names.forEach((node, i) => this.showName(node, i));
+    const { bar, shown } = this;
     bar.set("play", playback.playing, text(playback.playing ? "button_pause" : "replay_button_play"));
-    bar.set("wireframe", shown.style !== 0);
-    bar.set("forces", shown.forces);
-    bar.set("fixed_nodes", shown.fixedNodes);
-    bar.set("help", this.help.open);
-    bar.set("theatre", theatre.on);
-    bar.set("outside", theatre.showsOutside);
+    const { contacts, forces, fixedNodes } = shown;
+    const switches = { wireframe: shown.style !== 0, contacts, forces, fixed_nodes: fixedNodes, help: this.help.open, couple: views.coupled, align: views.clock.beginning === "task", theatre: theatre.on, outside: theatre.showsOutside };
+    for (const [action, on] of Object.entries(switches)) bar.set(action as PlayerAction, on);
     bar.offer("theatre", theatre.endoscope !== null);
     for (const action of ["wipe", "outside"] as const) bar.offer(action, theatre.on);
-    this.hello.tools.forEach((_, tool) => bar.set(`tool_${tool + 1}` as PlayerAction, tool === chosen));
+    hello.tools.forEach((_, tool) => bar.set(`tool_${tool + 1}` as PlayerAction, tool === chosen));
+  }
+
+  /** Above a picture: which recording it is, its own time, and the force on the instrument. */
+  private showName(node: HTMLElement, view: number): void {
+    const { recording: { name }, header } = this.views.all[view];
+    const force = header === null ? "" : forceText(Math.hypot(...header.forceOnTool_n));
+    const words = [`${LETTERS[view]} ${name}`, timeText(this.views.clock.timeIn(view, this.playback.time_s)), force].join(" · ");
+    if (node.textContent !== words) node.textContent = words;
   }
 
   report(): PlayerReport {
-    const { shownFrame, recording, playback, header, hello, theatre, messages } = this;
+    const { playback, messages, bookmarks, views, views: { first: { recording, shownFrame, header, hello, theatre, scene } } } = this;
     const { time_s, playing, speed } = playback;
-    return structuredClone({ frame: shownFrame, nFrames: recording.nFrames, time_s, playing, speed, header, hello, theatre: theatre.report(), messages: messages.texts() });
+    const [, other] = views.all;
+    const beside = other === undefined ? null : { frame: other.shownFrame, time_s: views.clock.timeIn(1, time_s), header: other.header, azimuth_rad: other.scene.orbit.azimuth_rad };
+    return structuredClone({ frame: shownFrame, nFrames: recording.nFrames, time_s, playing, speed, header, hello, theatre: theatre.report(), messages: messages.texts(), bookmarks: bookmarks.all, drawnDots: scene.classMarks.shown.dots, azimuth_rad: scene.orbit.azimuth_rad, beside });
   }
 }

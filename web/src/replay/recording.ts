@@ -6,6 +6,7 @@ import { fail, fieldsOf, numberAt, type Fields } from "../fields";
 import { decodeBinary, decodeText, type Hello, type Snapshot, type Topology } from "../protocol";
 import { Taker } from "../bytes";
 import { expectedPlaces, NO_SURFACE, takeSurface, topologyOf, type Surface } from "./surface";
+import { decodeNotes, type Notes } from "./notes";
 import { decodeStory, type Story } from "./story";
 
 const HEAD_BYTES = 12;
@@ -74,6 +75,18 @@ function rowsAt(fields: Fields, name: string): number[][] {
   return value.map((row: unknown) => numbersAt({ [name]: row }, name));
 }
 
+/** The last of ascending times that is not after `time_s`; the first where all are. */
+export function frameIn(times_s: readonly number[], time_s: number): number {
+  let [low, high] = [0, times_s.length];
+  // Times are rounded to a ten-thousandth.
+  while (high - low > 1) {
+    const middle = (low + high) >>> 1;
+    if (times_s[middle] <= time_s + 1e-4) low = middle;
+    else high = middle;
+  }
+  return low;
+}
+
 /** A part of a recording that is unpacked may have [bytes]; as in the program that writes it. */
 const MOST_UNPACKED = 2 ** 28;
 
@@ -84,7 +97,10 @@ export class Recording {
   readonly times_s: readonly number[];
   /** Size of the force on each instrument, frame by frame [N]. */
   readonly forces_n: readonly (readonly number[])[];
+  /** What the session is called; empty where nothing is beside it. */
+  readonly name: string;
   readonly story: Story | null;
+  readonly notes: Notes;
   private readonly hellos: ReadonlyArray<{ readonly first: number; readonly hello: Hello }>;
   private readonly blocks: readonly Block[];
   /** Unpacked blocks, those that were looked at last behind. */
@@ -112,7 +128,9 @@ export class Recording {
     this.step_m = numberAt(head, "step_m", "recording", 0);
     this.times_s = numbersAt(head, "time_s");
     this.forces_n = rowsAt(head, "force_n");
+    this.name = typeof head.name === "string" ? head.name : "";
     this.story = decodeStory(head.task);
+    this.notes = decodeNotes(head.notes);
     if (!Array.isArray(head.hellos) || head.hellos.length === 0) fail("recording.hellos must be an array of one or more");
     this.hellos = head.hellos.map((item: unknown) => {
       const entry = fieldsOf(item, "recording.hellos");
@@ -143,14 +161,7 @@ export class Recording {
 
   /** The last frame that is not after `time_s`. */
   frameAt(time_s: number): number {
-    let [low, high] = [0, this.nFrames];
-    // Times are rounded to a ten-thousandth.
-    while (high - low > 1) {
-      const middle = (low + high) >>> 1;
-      if (this.times_s[middle] <= time_s + 1e-4) low = middle;
-      else high = middle;
-    }
-    return low;
+    return frameIn(this.times_s, time_s);
   }
 
   /** The scene at a frame; the same object as long as it is the same. */

@@ -22,6 +22,8 @@ export interface Moment {
 /** What became of a task; all times are those of the recording. */
 export interface Story {
   readonly title: string;
+  /** When an instrument was first moved; null if none was. */
+  readonly began_s: number | null;
   readonly outcome: TaskOutcome | null;
   readonly isPassed: boolean;
   readonly nStages: number;
@@ -47,6 +49,7 @@ export function decodeStory(value: unknown): Story | null {
   const timeAt = (of: Fields, name: string, place: string): number => first_s + numberAt(of, name, place);
   return {
     title: stringAt(result, "title", "task"),
+    began_s: result.began_s == null ? null : first_s,
     outcome: outcome ?? null,
     isPassed: result.is_passed === true,
     nStages: numberAt(result, "n_stages", "task", 0),

@@ -1,162 +1,72 @@
 //! `glisson export`.
 
-use super::output::{check_extension, make_folder_of};
-use super::progress::with_bar;
+mod page;
+mod film;
+
+pub(super) use page::{require_page, write_page};
+
 use super::replay::{Source, same_bits};
-use crate::text_file::write_text;
-use anyhow::{Context, anyhow, ensure};
+use anyhow::{anyhow, ensure};
 use glisson::progress::tell;
-use glisson::record::session::Session;
-use glisson::training::task::TaskRecord;
-use glisson_runtime::{Simulation, replay};
-use glisson_view::recording::page::{page_with, recording_in};
-use glisson_view::recording::read::RecordingReader;
-use glisson_view::recording::write::{Recording, RecordingSettings, RecordingWriter};
+use glisson::record::session::{Session, SessionEvent};
+use glisson_runtime::Simulation;
+use glisson_runtime::replay::{self, ReplayReport};
 use std::path::{Path, PathBuf};
 
-const DEFAULT_RATE_HZ: u8 = 30;
-const DEFAULT_PRECISION_MM: f64 = 0.05;
-
-/// Write a recorded session as one HTML file that plays in a browser, without a server and without a network.
+/// Write a recorded session as one HTML file that plays in a browser, without a server and without a network, or as a film.
 ///
 /// The session is replayed, and refused when the replay does not make the bits of the recording (docs/replay.md).
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  glisson export out/tasks/palpation.jsonl --html palpation.html\n  \
-    glisson export session.jsonl --html session.html --rate 60 --precision-mm 0.01")]
+#[command(
+    group = clap::ArgGroup::new("what").args(["html", "mp4"]).required(true),
+    after_help = "Examples:\n  glisson export out/tasks/palpation.jsonl --html palpation.html\n  \
+    glisson export session.jsonl --html session.html --rate 60 --precision-mm 0.01\n  \
+    glisson export mine.jsonl --beside experts.jsonl --html both.html\n  \
+    glisson export out/tasks/palpation.jsonl --mp4 palpation.mp4 --view endoscope --from 2 --to 8"
+)]
 pub(crate) struct Args {
     #[command(flatten)]
     source: Source,
-    /// The file to write
+    /// The page to write
     #[arg(long, value_name = "FILE")]
-    html: PathBuf,
-    /// Frames a second of simulated time
-    #[arg(long, value_name = "HZ", default_value_t = DEFAULT_RATE_HZ, value_parser = clap::value_parser!(u8).range(1..=60))]
-    rate: u8,
-    /// Positions are written as whole numbers of this, 0.001 to 1 mm; coordinates are off by half of it at most
-    #[arg(long, value_name = "MM", default_value_t = DEFAULT_PRECISION_MM, value_parser = precision_mm)]
-    precision_mm: f64,
-    /// Read the written file again, and all of its frames
-    #[arg(long)]
-    check: bool,
-}
-
-fn precision_mm(text: &str) -> Result<f64, String> {
-    let found: f64 = text.parse().map_err(|_| format!("\"{text}\" is no number"))?;
-    if (0.001..=1.0).contains(&found) { Ok(found) } else { Err(format!("{found} is not in 0.001..=1")) }
-}
-
-/// That the program has the page which plays recordings.
-pub(super) fn require_page() -> anyhow::Result<()> {
-    let has_page = page_with(&[]).is_some();
-    ensure!(has_page, "this program was built without its pages; `cargo xtask demo` builds it with them");
-    Ok(())
-}
-
-/// Writes a session as a page, with the settings that [`Args`] has when none are given.
-pub(super) fn write_page(session: &Path, folder: &Path, html: &Path) -> anyhow::Result<()> {
-    let session = replay::read_session(session)?;
-    let settings =
-        RecordingSettings { rate_hz: f64::from(DEFAULT_RATE_HZ), step_m: 1e-3 * DEFAULT_PRECISION_MM };
-    let Exported { recording, .. } = with_bar("replaying", || record(&session, folder, settings))?;
-    write_text(html, &page_with(&recording.bytes).context("the program's page is gone")?)
+    html: Option<PathBuf>,
+    /// The film to write; ffmpeg encodes it
+    #[arg(long, value_name = "FILE")]
+    mp4: Option<PathBuf>,
+    #[command(flatten)]
+    page: page::PageOptions,
+    #[command(flatten)]
+    film: film::FilmOptions,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    check_extension(&args.html, &["html", "htm"])?;
-    require_page()?;
-    let session = args.source.read()?;
-    let settings = RecordingSettings { rate_hz: f64::from(args.rate), step_m: 1e-3 * args.precision_mm };
-    let Exported { recording, task, replay } =
-        with_bar("replaying", || record(&session, args.source.folder(), settings))?;
-    let page = page_with(&recording.bytes).context("the program's page is gone")?;
-    make_folder_of(&args.html)?;
-    write_text(&args.html, &page)?;
-    println!("replay           {replay}");
-    let size_mb = page.len() as f64 / 1e6;
-    let minutes = recording.duration_s / 60.0;
-    println!(
-        "frames           {} ({} a second, {:.1} s)",
-        recording.n_frames, args.rate, recording.duration_s
-    );
-    println!(
-        "surface          {} vertices at most, changed {} times",
-        recording.most_vertices, recording.n_changes
-    );
-    println!("largest error    {:.4} mm in a coordinate", 1e3 * recording.largest_error_m);
-    if minutes > 0.0 {
-        // Base64 has four letters for three bytes.
-        let a_minute_mb = recording.bytes.len() as f64 * 4.0 / 3.0 / 1e6 / minutes;
-        println!("size             {size_mb:.2} MB, of it the recording {a_minute_mb:.2} MB a minute");
-    } else {
-        println!("size             {size_mb:.2} MB");
+    match (&args.html, &args.mp4) {
+        (Some(html), _) => page::export(&args.source, html, &args.page),
+        (None, Some(mp4)) => film::export(&args.source, mp4, &args.film),
+        (None, None) => Err(anyhow!("nothing to write; give --html or --mp4")),
     }
-    if let Some(task) = task {
-        println!("moments          {} that went wrong", task.result().moments.len());
-    }
-    if args.check {
-        println!("checked          {} frames read back", frames_in(&args.html)?);
-    }
-    println!("written          {}", args.html.display());
-    Ok(())
 }
 
-struct Exported {
-    recording: Recording,
-    task: Option<TaskRecord>,
+/// A session that was replayed.
+struct Replayed {
     /// How far it is known that the replay made the bits of the recording.
-    replay: &'static str,
+    words: &'static str,
+    report: ReplayReport,
 }
 
-/// Replays the session, and writes down what is displayed.
-fn record(session: &Session, folder: &Path, settings: RecordingSettings) -> anyhow::Result<Exported> {
-    let n_steps = session.events.last().map_or(0, |event| event.step());
+/// Replays a session; `see` gets each step, and whether it is the last one. Tells how far it is.
+fn replayed(
+    session: &Session,
+    folder: &Path,
+    mut see: impl FnMut(&Simulation, bool) -> anyhow::Result<()>,
+) -> anyhow::Result<Replayed> {
+    let n_steps = session.events.last().map_or(0, SessionEvent::step);
     ensure!(n_steps > 0, "the session has no step: there is nothing to show");
-    let mut sampler = Sampler { writer: RecordingWriter::new(settings), settings, next: 0, greeted: None };
     let report = replay::replay(session, folder, |simulation| {
         let step = simulation.world().steps_made();
         tell(step as f64 / n_steps as f64);
-        sampler.see(simulation, step == n_steps)
+        see(simulation, step == n_steps)
     })?;
-    let replay = same_bits(&report).map_err(|error| anyhow!("nothing is exported: {error}"))?;
-    let result = report.task.as_ref().map(TaskRecord::result);
-    Ok(Exported { recording: sampler.writer.finish(result.as_ref()), task: report.task, replay })
-}
-
-/// Takes a frame of the first step, and of the first one in each period after it.
-struct Sampler {
-    writer: RecordingWriter,
-    settings: RecordingSettings,
-    /// Period of the next frame.
-    next: u64,
-    /// Model of the scene when it was last said what that is.
-    greeted: Option<&'static str>,
-}
-
-impl Sampler {
-    fn see(&mut self, simulation: &Simulation, is_last: bool) -> anyhow::Result<()> {
-        let world = simulation.world();
-        let time_s = world.steps_made() as f64 * world.spec().time_step_s;
-        // Of a step that ends with a period, rounding must not make one within it.
-        let period = (time_s * self.settings.rate_hz + 1e-6).floor() as u64;
-        if self.greeted.is_some() && period < self.next && !is_last {
-            return Ok(());
-        }
-        self.next = period + 1;
-        let model = world.model_kind().name();
-        if self.greeted != Some(model) {
-            self.writer.greet(simulation);
-            self.greeted = Some(model);
-        }
-        Ok(self.writer.add(&world.snapshot(), || world.display_topology())?)
-    }
-}
-
-/// Reads all frames of a written file.
-fn frames_in(path: &Path) -> anyhow::Result<usize> {
-    let what = || format!("{}: cannot be read back", path.display());
-    let page = std::fs::read_to_string(path).with_context(what)?;
-    let bytes = recording_in(&page).context("it has no recording").with_context(what)?;
-    let recording = RecordingReader::new(&bytes).with_context(what)?;
-    recording.each_frame(|_| ()).with_context(what)?;
-    Ok(recording.n_frames())
+    let words = same_bits(&report).map_err(|error| anyhow!("nothing is exported: {error}"))?;
+    Ok(Replayed { words, report })
 }

@@ -32,6 +32,20 @@ impl Source {
         replay::read_session(&self.session)
     }
 
+    pub(super) fn session(&self) -> &Path {
+        &self.session
+    }
+
+    /// What the session is called: its file without an ending.
+    pub(super) fn name(&self) -> String {
+        self.session.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+    }
+
+    /// Another session, whose scene is in the same folder where one was given.
+    pub(super) fn beside(&self, session: &Path) -> Self {
+        Self { session: session.to_path_buf(), folder: self.folder.clone() }
+    }
+
     pub(super) fn folder(&self) -> &Path {
         let own_folder = self.session.parent().filter(|folder| *folder != Path::new(""));
         self.folder.as_deref().or(own_folder).unwrap_or(Path::new("."))

@@ -2,12 +2,11 @@
 
 use anyhow::Context;
 use glisson::math::Aabb;
-use glisson::record::snapshot::DisplayTopology;
 use glisson::world::World;
 use glisson_lab::bed::write_liver_on_bed;
 use glisson_runtime::{OpenScene, Simulation};
 use glisson_view::picture::{
-    Camera, Caption, CaptionPlace, Look, Picture, PictureScene, ShadedSurface, View,
+    Camera, Caption, CaptionPlace, Picture, PictureScene, View, looks_of, surfaces_of,
 };
 use std::path::{Path, PathBuf};
 
@@ -45,35 +44,20 @@ pub(crate) fn lie(scene: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The surface of one body.
-fn surface(world: &World, topology: &DisplayTopology, body: usize) -> ShadedSurface {
-    let is_own = |triangle: &&[u32; 3]| usize::from(topology.body_of[triangle[0] as usize]) == body;
-    let spec = &world.spec().bodies[body];
-    let look = Look::of_structure(&spec.name);
-    let is_plain = matches!(look, Look::Plain { .. });
-    let look = spec.color.filter(|_| is_plain).map_or(look, |colour| Look::Plain { colour });
-    ShadedSurface {
-        positions_m: world.snapshot().positions_m,
-        triangles: topology.triangles.iter().filter(is_own).copied().collect(),
-        rest_positions_m: topology.rest_positions_m.clone(),
-        look,
-    }
-}
-
 fn picture(file: &Path, world: &World) -> anyhow::Result<()> {
     let topology = world.display_topology();
-    let positions_m = world.snapshot().positions_m;
-    let bounds = Aabb::of_points(&positions_m);
+    let snapshot = world.snapshot();
+    let bounds = Aabb::of_points(&snapshot.positions_m);
     let text = format!(
         "A liver on its bed, {} bodies, {:.0} mm wide   t = {:.1} s",
         world.spec().bodies.len(),
         1e3 * bounds.size_m().x,
-        world.snapshot().time_s
+        snapshot.time_s
     );
     let view = View { azimuth_rad: 0.6, elevation_rad: 0.35 };
     let scene = PictureScene {
-        camera: Camera::framing_points(&positions_m, PICTURE_SIZE, view),
-        surfaces: (0..world.spec().bodies.len()).map(|body| surface(world, &topology, body)).collect(),
+        camera: Camera::framing_points(&snapshot.positions_m, PICTURE_SIZE, view),
+        surfaces: surfaces_of(&topology, &snapshot, &looks_of(world.spec(), "")),
         instruments: Vec::new(),
         arrows: Vec::new(),
         captions: vec![Caption { text, place: CaptionPlace::BottomLeft }],

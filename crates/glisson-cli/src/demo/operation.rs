@@ -5,8 +5,6 @@ use anyhow::{Context, ensure};
 use glisson::files::write_atomically;
 use glisson::math::DVec3;
 use glisson::model::StateHash;
-use glisson::record::snapshot::ToolSnapshot;
-use glisson::tool::Tool;
 use glisson::world::World;
 use glisson_runtime::replay::{self, read_session};
 use glisson_runtime::{OpenScene, Simulation};
@@ -152,16 +150,6 @@ fn camera(world: &World, azimuth_deg: f64) -> Camera {
     Camera::framing_points(&world.snapshot().positions_m, PICTURE_SIZE, view)
 }
 
-fn instrument(tool: &Tool, now: &ToolSnapshot) -> Instrument {
-    let tip_m = now.pose.tip_in_world_m + now.shown_further_out_m;
-    Instrument {
-        tip_m,
-        handle_m: tip_m + now.pose.shaft_in_world * tool.shaft_length_m,
-        tip_radius_m: tool.tip_radius_m,
-        shaft_radius_m: tool.shaft_radius_m,
-    }
-}
-
 fn picture(path: &std::path::Path, world: &World, azimuth_deg: f64, title: &str) -> anyhow::Result<PathBuf> {
     let topology = world.display_topology();
     let snapshot = world.snapshot();
@@ -186,12 +174,7 @@ fn picture(path: &std::path::Path, world: &World, azimuth_deg: f64, title: &str)
             rest_positions_m: topology.rest_positions_m,
             look: Look::Liver,
         }],
-        instruments: world
-            .tools()
-            .iter()
-            .zip(&snapshot.tools)
-            .map(|(tool, now)| instrument(tool, now))
-            .collect(),
+        instruments: Instrument::all(world.tools(), &snapshot.tools),
         arrows: arrows.into_iter().collect(),
         captions: vec![Caption { text, place: CaptionPlace::BottomLeft }],
         camera: camera(world, azimuth_deg),

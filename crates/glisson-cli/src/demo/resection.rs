@@ -13,7 +13,6 @@ use anyhow::{Context, ensure};
 use glisson::math::DVec3;
 use glisson::mesh::files::{read_mesh, write_mesh};
 use glisson::model::StateHash;
-use glisson::record::snapshot::ToolSnapshot;
 use glisson::tool::ToolInput;
 use glisson::world::World;
 use glisson_runtime::replay::{self, read_session};
@@ -338,17 +337,6 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
     Ok(Resection { state_hash, tumour_in_specimen, margin_m: specimen.margin_m })
 }
 
-fn instrument(now: &ToolSnapshot, world: &World, tool: usize) -> Instrument {
-    let spec = &world.tools()[tool];
-    let tip_m = now.pose.tip_in_world_m + now.shown_further_out_m;
-    Instrument {
-        tip_m,
-        handle_m: tip_m + now.pose.shaft_in_world * spec.shaft_length_m,
-        tip_radius_m: spec.tip_radius_m,
-        shaft_radius_m: spec.shaft_radius_m,
-    }
-}
-
 /// A red arrow out of the tissue, larger than life.
 fn drop_of_blood(end_m: DVec3, out: DVec3) -> Arrow {
     Arrow { from_m: end_m, to_m: end_m + out * 0.012, radius_m: 1.5e-3, colour: [170, 0, 10] }
@@ -372,7 +360,7 @@ fn picture(file: &Path, world: &World, plan: &Plan, title: &str) -> anyhow::Resu
             rest_positions_m: topology.rest_positions_m,
             look: Look::Liver,
         }],
-        instruments: snapshot.tools.iter().enumerate().map(|(i, tool)| instrument(tool, world, i)).collect(),
+        instruments: Instrument::all(world.tools(), &snapshot.tools),
         // What bleeds.
         arrows: snapshot.bleeding.ends.iter().map(|end| drop_of_blood(end.position_m, plan.out)).collect(),
         captions: vec![Caption { text, place: CaptionPlace::BottomLeft }],

@@ -3,6 +3,7 @@
 use super::Simulation;
 use crate::recorder::Recorder;
 use anyhow::bail;
+use glisson::record::note::Note;
 use glisson::record::session::{Session, SessionEvent};
 use std::path::Path;
 
@@ -22,6 +23,29 @@ impl Simulation {
         self.recorder = None;
         self.tell(lost.clone());
         self.lost_recording = Some(lost);
+    }
+
+    /// Keeps in the session what somebody who watches wants to be kept. It changes nothing.
+    pub fn note(&mut self, note: Note) {
+        let (step, now_s) = (self.world.steps_made(), self.world.time_s());
+        if self.recorder.is_none() {
+            if matches!(note, Note::Bookmark { .. }) {
+                self.tell(
+                    "there is no bookmark: nothing is recorded here (--record FILE records)".to_owned(),
+                );
+            }
+            return;
+        }
+        let note = match note {
+            // What is to come cannot be marked.
+            Note::Bookmark { time_s, text } => Note::Bookmark { time_s: time_s.min(now_s), text },
+            other => other,
+        };
+        if let Note::Bookmark { time_s, text } = &note {
+            let about = if text.is_empty() { String::new() } else { format!(": {text}") };
+            self.tell_news(format!("a bookmark at {time_s:.2} s{about}"));
+        }
+        self.record(&SessionEvent::Note { step, note });
     }
 
     /// From here on a crash of the program loses nothing of what happened before.

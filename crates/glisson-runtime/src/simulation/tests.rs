@@ -10,6 +10,7 @@ use glisson::model::FollowedEdits;
 use glisson::model::precomputed::{
     Precision, Precomputed, PrecomputedParams, RecomputationLimits, StoredNodes,
 };
+use glisson::record::note::Note;
 use glisson::record::session::parse_session;
 use glisson::tool::ToolInput;
 
@@ -516,4 +517,48 @@ fn a_haptic_loop_that_asks_for_models_changes_no_bit() {
         assert!(felt, "{model}");
         assert_eq!(asked.world().state_hash(), left_alone.world().state_hash(), "{model}");
     }
+}
+
+#[test]
+fn notes_are_kept_and_change_nothing() {
+    let folder = scene_folder();
+    let run = |name: &str, with_notes: bool| {
+        let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+        let mut simulation = Simulation::open(source, Some(&folder.path().join(name))).unwrap();
+        for step in 0..60 {
+            if step == 20 && with_notes {
+                // Of now, and of a moment ago.
+                simulation.note(Note::Bookmark { time_s: f64::MAX, text: String::new() });
+                simulation.note(Note::Bookmark { time_s: 0.005, text: "here".into() });
+                simulation.note(Note::Drawing { points_m: vec![DVec3::X] });
+                simulation.note(Note::Erased {});
+            }
+            simulation.advance(&input(step)).unwrap();
+        }
+        let news: Vec<String> = simulation.notices().iter().map(|notice| notice.text.clone()).collect();
+        (simulation.finish().unwrap(), news)
+    };
+    let ((with, news), (without, _)) = (run("with.jsonl", true), run("without.jsonl", false));
+    assert_eq!(with, without);
+    assert!(news.iter().any(|text| text == "a bookmark at 0.01 s: here"), "{news:?}");
+    let text = std::fs::read_to_string(folder.path().join("with.jsonl")).unwrap();
+    let session = parse_session(&text).unwrap();
+    let notes: Vec<_> = session
+        .events
+        .iter()
+        .filter_map(|event| match event {
+            SessionEvent::Note { step, note } => Some((*step, note.clone())),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(notes.len(), 4);
+    assert_eq!(notes[0], (20, Note::Bookmark { time_s: 0.02, text: String::new() }));
+    assert_eq!(notes[1].1, Note::Bookmark { time_s: 0.005, text: "here".into() });
+    let again = replay(&session, folder.path(), |_| Ok(())).unwrap();
+    assert_eq!((again.state_hash, again.first_difference), (with, None));
+    // Where nothing is recorded, there is no bookmark, and that is said.
+    let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+    let mut simulation = Simulation::open(source, None).unwrap();
+    simulation.note(Note::Bookmark { time_s: 0.0, text: String::new() });
+    assert!(simulation.notices().iter().any(|notice| notice.text.contains("--record")));
 }

@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use glisson::math::Aabb;
+use glisson::tool::endoscope::Eye;
 
 /// Half the default vertical opening angle: 14 degrees, about a 72 mm lens, little distortion.
 const HALF_FIELD_OF_VIEW_RAD: f64 = 14.0 * std::f64::consts::PI / 180.0;
@@ -9,6 +10,8 @@ const HALF_FIELD_OF_VIEW_RAD: f64 = 14.0 * std::f64::consts::PI / 180.0;
 const FRAME_MARGIN: f64 = 0.06;
 /// Part of the eye's distance below which nothing is drawn.
 const NEAR_FRACTION: f64 = 0.02;
+/// What an endoscope looks at is about so far away [m].
+const LENS_TO_TARGET_M: f64 = 0.1;
 
 /// The direction to look from, around the patient.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,7 +38,16 @@ impl View {
     }
 }
 
-/// Eye, direction and opening angle.
+/// What lights a picture, and its shape.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Light {
+    /// Lamps around; the whole rectangle.
+    Room,
+    /// The lamp beside an endoscope's lens; a circle.
+    AtLens,
+}
+
+/// Eye, direction, opening angle, and light that goes with it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Eye [m].
@@ -46,6 +58,8 @@ pub struct Camera {
     pub(crate) up: DVec3,
     /// Vertical opening angle [rad].
     pub(crate) vertical_field_of_view_rad: f64,
+    /// What lights.
+    pub(crate) light: Light,
 }
 
 impl Camera {
@@ -70,6 +84,7 @@ impl Camera {
             target_m,
             up: DVec3::Z,
             vertical_field_of_view_rad: 2.0 * HALF_FIELD_OF_VIEW_RAD,
+            light: Light::Room,
         };
         let [right, up, forward] = camera.axes();
         let tan_vertical = HALF_FIELD_OF_VIEW_RAD.tan() * (1.0 - 2.0 * FRAME_MARGIN);
@@ -85,6 +100,17 @@ impl Camera {
             .fold(1e-6, f64::max);
         camera.eye_m = target_m + distance_m * towards_eye;
         camera
+    }
+
+    /// What an endoscope sees: a circle in the middle of the picture, lit by its own lamp.
+    pub fn through(eye: &Eye) -> Self {
+        Self {
+            eye_m: eye.position_in_world_m,
+            target_m: eye.position_in_world_m + LENS_TO_TARGET_M * eye.forward_in_world,
+            up: eye.up_in_world,
+            vertical_field_of_view_rad: eye.field_of_view_rad,
+            light: Light::AtLens,
+        }
     }
 
     /// Unit vectors to the right, up and forward in the picture.
@@ -143,6 +169,16 @@ impl Projection {
     pub(super) fn to_pixels(self, camera: Vec3) -> [f32; 2] {
         let scale = self.focal_pixels / camera.z;
         [self.center_pixels[0] + scale * camera.x, self.center_pixels[1] - scale * camera.y]
+    }
+
+    /// About how many pixels a surface of these vertices has, front and back, also of what is beside the picture.
+    pub(super) fn pixels_of(self, positions: &[Vec3]) -> f32 {
+        let Some(&first) = positions.first() else { return 0.0 };
+        let (low, high) = positions.iter().fold((first, first), |(a, b), &p| (a.min(p), b.max(p)));
+        let radius = 0.5 * (high - low).length();
+        let depth = (0.5 * (low + high)).distance(self.eye).max(self.near_m);
+        let across = radius * self.focal_pixels / depth;
+        2.0 * std::f32::consts::PI * across * across
     }
 
     /// Direction, not normalised, of the ray through a place in the picture: one metre forward.

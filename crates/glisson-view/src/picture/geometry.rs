@@ -1,25 +1,21 @@
 //! Everything in a scene as triangles with normals and rest positions.
-//!
-//! Vertex normals are means of the triangles' normals weighted by the angle at the vertex (Thürmer and
-//! Wüthrich 1998, doi 10.1080/10867651.1998.10487487). Coarse organ surfaces are refined with Phong
-//! tessellation (Boubekeur and Alexa 2008, doi 10.1145/1409060.1409094), so that outlines look round; the
-//! vertices of the given mesh stay where they are.
 
 use anyhow::ensure;
 use glam::{DVec3, Vec3};
 use glisson::math::Aabb;
 
 use super::PictureScene;
+use super::camera::Projection;
+use super::instrument::Instrument;
 use super::look::Look;
+use super::piece::{Piece, arc, vertex_normals};
 
 /// Organ surfaces are refined until they have this many triangles ...
 const REFINE_BELOW_TRIANGLES: usize = 24_000;
+/// ... or these are so small in the picture [pixels] ...
+const REFINE_ABOVE_PIXELS: f32 = 6.0;
 /// ... or were refined this often.
 const MAX_REFINEMENTS: usize = 2;
-/// Share of the tangent-plane projection in Phong tessellation: the authors' choice.
-const TESSELLATION_SHAPE: f32 = 0.75;
-/// Segments around round things.
-const SEGMENTS: usize = 40;
 /// Part of an arrow's length that is its head, at most; and how much thicker the head is.
 const ARROW_HEAD_LENGTH: f64 = 0.42;
 const ARROW_HEAD_RADII: f64 = 2.6;
@@ -37,17 +33,26 @@ pub struct ShadedSurface {
     pub look: Look,
 }
 
-/// A rigid instrument: a straight shaft with a round end and a ball at the tip.
-#[derive(Clone, Copy, Debug)]
-pub struct Instrument {
-    /// Centre of the ball [m].
-    pub tip_m: DVec3,
-    /// Other end of the shaft [m].
-    pub handle_m: DVec3,
-    /// Radius of the ball [m].
-    pub tip_radius_m: f64,
-    /// Radius of the shaft [m].
-    pub shaft_radius_m: f64,
+impl ShadedSurface {
+    /// A ball.
+    pub fn ball(center_m: DVec3, radius_m: f64, look: Look) -> Self {
+        Self::of_piece(Piece::turned(center_m, DVec3::Z, &arc(-radius_m, radius_m, radius_m)), look)
+    }
+
+    /// A round wire through `points_m`.
+    pub fn wire(points_m: &[DVec3], radius_m: f64, look: Look) -> Self {
+        Self::of_piece(Piece::wire(points_m, radius_m), look)
+    }
+
+    fn of_piece(piece: Piece, look: Look) -> Self {
+        let places_m = |places: &[Vec3]| places.iter().map(|p| p.as_dvec3()).collect();
+        Self {
+            positions_m: places_m(&piece.positions),
+            rest_positions_m: places_m(&piece.rest),
+            triangles: piece.triangles,
+            look,
+        }
+    }
 }
 
 /// A force, drawn in front of everything.
@@ -101,17 +106,19 @@ impl Facets {
             "the camera's eye {} or target {origin_m} is not finite",
             scene.camera.eye_m
         );
+        let projection = Projection::new(&scene.camera, scene.size);
         for (index, surface) in scene.surfaces.iter().enumerate() {
             check(index, surface)?;
-            facets.add_surface(surface, origin_m);
+            facets.add_surface(surface, origin_m, &projection);
         }
         facets.note_bounds();
         for instrument in &scene.instruments {
+            let frame = &instrument.frame;
             ensure!(
-                instrument.tip_m.is_finite() && instrument.handle_m.is_finite(),
-                "an instrument is at {} to {}: not finite",
-                instrument.tip_m,
-                instrument.handle_m
+                frame.tip_in_world_m.is_finite() && frame.world_from_tool.is_finite(),
+                "an instrument is at {} and turned by {}: not finite",
+                frame.tip_in_world_m,
+                frame.world_from_tool
             );
             facets.add_instrument(instrument, origin_m);
         }
@@ -148,15 +155,17 @@ impl Facets {
         self.parts.push(part);
     }
 
-    fn add_surface(&mut self, surface: &ShadedSurface, origin_m: DVec3) {
+    fn add_surface(&mut self, surface: &ShadedSurface, origin_m: DVec3, projection: &Projection) {
         let mut piece = Piece {
             positions: surface.positions_m.iter().map(|&p| (p - origin_m).as_vec3()).collect(),
             normals: vertex_normals(&surface.positions_m, &surface.triangles),
             rest: surface.rest_positions_m.iter().map(|p| p.as_vec3()).collect(),
             triangles: surface.triangles.clone(),
         };
+        let pixels = projection.pixels_of(&piece.positions);
         for _ in 0..MAX_REFINEMENTS {
-            if piece.triangles.len() < REFINE_BELOW_TRIANGLES {
+            let n = piece.triangles.len();
+            if n < REFINE_BELOW_TRIANGLES && pixels > REFINE_ABOVE_PIXELS * n as f32 {
                 piece.refine();
             }
         }
@@ -164,18 +173,9 @@ impl Facets {
     }
 
     fn add_instrument(&mut self, instrument: &Instrument, origin_m: DVec3) {
-        let metal = Part { look: Look::Metal, overlay: false, casts_shadow: true };
-        let tip = instrument.tip_m - origin_m;
-        let handle = instrument.handle_m - origin_m;
-        let axis = (handle - tip).try_normalize().unwrap_or(DVec3::Z);
-        let (ball, shaft) = (instrument.tip_radius_m, instrument.shaft_radius_m);
-        let ball_profile = arc(-ball, ball, ball);
-        self.add_part(metal, &Piece::turned(tip, axis, &ball_profile));
-        let length = (handle - tip).length();
-        if length > 0.0 {
-            let mut profile = vec![[0.0, shaft, 1.0, 0.0], [length, shaft, 1.0, 0.0]];
-            profile.extend(arc(0.0, shaft, shaft).into_iter().map(|[z, r, nr, nz]| [z + length, r, nr, nz]));
-            self.add_part(Part { look: Look::Shaft, ..metal }, &Piece::turned(tip, axis, &profile));
+        for (look, piece) in instrument.parts() {
+            let part = Part { look, overlay: false, casts_shadow: true };
+            self.add_part(part, &piece.placed(&instrument.frame, origin_m));
         }
     }
 
@@ -226,108 +226,6 @@ fn check(index: usize, surface: &ShadedSurface) -> anyhow::Result<()> {
         }
     }
     Ok(())
-}
-
-/// Unit normals at the vertices; +z where there is none.
-fn vertex_normals(positions_m: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
-    let mut normals = vec![DVec3::ZERO; positions_m.len()];
-    for triangle in triangles {
-        let corners = triangle.map(|v| positions_m[v as usize]);
-        let Some(normal) = (corners[1] - corners[0]).cross(corners[2] - corners[0]).try_normalize() else {
-            continue;
-        };
-        for c in 0..3 {
-            let to_next = corners[(c + 1) % 3] - corners[c];
-            let to_last = corners[(c + 2) % 3] - corners[c];
-            normals[triangle[c] as usize] += to_next.angle_between(to_last) * normal;
-        }
-    }
-    normals.iter().map(|n| n.try_normalize().unwrap_or(DVec3::Z).as_vec3()).collect()
-}
-
-/// Half a meridian of a ball around `z = 0`: profile points from height `from` to its pole at `radius`.
-fn arc(from: f64, to: f64, radius: f64) -> Vec<[f64; 4]> {
-    let steps = SEGMENTS / 2;
-    let (start, end) = ((from / radius).asin(), (to / radius).asin());
-    (0..=steps)
-        .map(|i| {
-            let (sin, cos) = (start + (end - start) * i as f64 / steps as f64).sin_cos();
-            [radius * sin, radius * cos, cos, sin]
-        })
-        .collect()
-}
-
-/// A part before it is added to the scene.
-#[derive(Clone, Debug, Default)]
-struct Piece {
-    positions: Vec<Vec3>,
-    normals: Vec<Vec3>,
-    rest: Vec<Vec3>,
-    triangles: Vec<[u32; 3]>,
-}
-
-impl Piece {
-    /// Surface of revolution around `axis` through `base`. Profile points are (height, radius, radial and
-    /// axial part of the normal); where two follow each other at the same place the normal jumps.
-    fn turned(base: DVec3, axis: DVec3, profile: &[[f64; 4]]) -> Self {
-        let side = axis.any_orthonormal_vector();
-        let other = axis.cross(side);
-        let mut piece = Self::default();
-        for segment in 0..SEGMENTS {
-            let (sin, cos) = (std::f64::consts::TAU * segment as f64 / SEGMENTS as f64).sin_cos();
-            let radial = cos * side + sin * other;
-            for &[height, radius, normal_r, normal_z] in profile {
-                piece.positions.push((base + height * axis + radius * radial).as_vec3());
-                piece.normals.push((normal_r * radial + normal_z * axis).as_vec3());
-                piece.rest.push(DVec3::new(radius * cos, radius * sin, height).as_vec3());
-            }
-        }
-        let n = profile.len();
-        for segment in 0..SEGMENTS {
-            let (here, next) = (segment * n, (segment + 1) % SEGMENTS * n);
-            for row in 1..n {
-                let corners = [here + row - 1, next + row - 1, next + row, here + row]
-                    .map(|v| u32::try_from(v).expect("a turned piece is small"));
-                piece.triangles.push([corners[0], corners[1], corners[2]]);
-                piece.triangles.push([corners[0], corners[2], corners[3]]);
-            }
-        }
-        piece
-    }
-
-    /// Splits every triangle in four; new vertices are lifted towards the tangent planes of their edge's ends.
-    fn refine(&mut self) {
-        let mut edges: Vec<[u32; 2]> = self
-            .triangles
-            .iter()
-            .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]])
-            .map(|[a, b]| [a.min(b), a.max(b)])
-            .collect();
-        edges.sort_unstable();
-        edges.dedup();
-        let first = u32::try_from(self.positions.len()).expect("a picture has fewer than 2^32 vertices");
-        for &[a, b] in &edges {
-            let (a, b) = (a as usize, b as usize);
-            let (pa, pb, na, nb) = (self.positions[a], self.positions[b], self.normals[a], self.normals[b]);
-            let middle = 0.5 * (pa + pb);
-            let lifted = middle - 0.5 * ((middle - pa).dot(na) * na + (middle - pb).dot(nb) * nb);
-            self.positions.push(middle.lerp(lifted, TESSELLATION_SHAPE));
-            self.normals.push((na + nb).try_normalize().unwrap_or(na));
-            self.rest.push(0.5 * (self.rest[a] + self.rest[b]));
-        }
-        let middle_of = |a: u32, b: u32| {
-            let place = edges.binary_search(&[a.min(b), a.max(b)]).expect("every edge was listed");
-            first + u32::try_from(place).expect("a picture has fewer than 2^32 edges")
-        };
-        self.triangles = self
-            .triangles
-            .iter()
-            .flat_map(|&[a, b, c]| {
-                let (ab, bc, ca) = (middle_of(a, b), middle_of(b, c), middle_of(c, a));
-                [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
-            })
-            .collect();
-    }
 }
 
 /// Box around the organs' vertices [m]; empty for none.

@@ -32,10 +32,19 @@ pub enum Look {
     Muscle,
     /// Yellow.
     Fat,
+    /// A fresh cut through an organ.
+    Cut,
+    /// Blood.
+    Blood,
     /// Steel.
     Metal,
-    /// A black, insulated instrument shaft.
+    /// Brushed steel: an instrument's shaft.
     Shaft,
+    /// Plastic or ceramic in one sRGB colour.
+    Plastic {
+        /// The colour.
+        colour: [u8; 3],
+    },
     /// A sign: one sRGB colour, little shading.
     Sign {
         /// The colour.
@@ -76,6 +85,14 @@ impl Look {
         found.map_or(Self::Plain { colour: [196, 160, 150] }, |&(_, look)| look)
     }
 
+    /// Look of tissue of this name; of a liver when unknown.
+    pub fn of_tissue(name: &str) -> Self {
+        match Self::of_structure(name) {
+            Self::Plain { .. } => Self::Liver,
+            known => known,
+        }
+    }
+
     fn recipe(self) -> Recipe {
         let tissue = |base: [u8; 3], dark: [u8; 3]| Recipe { base, dark, ..WET };
         match self {
@@ -90,9 +107,12 @@ impl Look {
             Self::Bone => Recipe { coat: 0.25, ..tissue([228, 214, 184], [196, 176, 140]) },
             Self::Muscle => tissue([164, 64, 56], [116, 36, 34]),
             Self::Fat => tissue([232, 198, 112], [204, 160, 76]),
+            Self::Cut => Recipe { lobules: 0.5, roughness: 0.4, ..tissue([158, 44, 36], [98, 20, 18]) },
+            Self::Blood => Recipe { lobules: 0.0, bumps: [0.0; 2], ..tissue([112, 6, 8], [92, 3, 5]) },
             Self::Plain { colour } => tissue(colour, colour.map(|c| c / 10 * 7)),
             Self::Metal => Recipe { base: [226, 228, 232], dark: [226, 228, 232], roughness: 0.22, ..METAL },
             Self::Shaft => Recipe { base: [132, 136, 144], dark: [132, 136, 144], roughness: 0.40, ..METAL },
+            Self::Plastic { colour } => Recipe { base: colour, dark: colour, ..PLASTIC },
             Self::Sign { colour } => Recipe { base: colour, dark: colour, ..SIGN },
         }
     }
@@ -128,6 +148,7 @@ const WET: Recipe = Recipe {
     glow: 0.0,
 };
 const METAL: Recipe = Recipe { lobules: 0.0, bumps: [0.0, 0.0], coat: 0.0, metal: true, ..WET };
+const PLASTIC: Recipe = Recipe { lobules: 0.0, bumps: [0.0, 0.0], coat: 0.35, roughness: 0.4, ..WET };
 const SIGN: Recipe = Recipe { lobules: 0.0, bumps: [0.0, 0.0], coat: 0.0, glow: 0.45, roughness: 0.6, ..WET };
 
 /// A look at one place.

@@ -1,10 +1,10 @@
 //! Pictures drawn on the processor: no GPU, no window, no system font.
 //!
 //! A scene of organs, instruments and force arrows becomes a PNG for reports and headless runs. The way:
-//! everything is turned into triangles (`geometry`), the triangles are z-buffered at 3 x 3 samples a pixel
+//! everything is turned into triangles (`geometry`, `instrument`, `piece`), the triangles are z-buffered at 3 x 3 samples a pixel
 //! (`raster`), each pixel's samples are grouped by surface and each group is shaded once (`shade`, `look`),
 //! with one shadow map and screen-space ambient obscurance; then captions are laid over (`text`).
-//! Slices of a volume with its labels are in `slice`.
+//! What a simulation shows is brought into this form by `of_world`. Slices of a volume with its labels are in `slice`.
 //!
 //! Own code, because no kept crate fits: `euc` (Apache-2.0 and MIT, 0.5.3) has had no release for years and
 //! brings its own vector library; the others need a GPU or a display. Letters come from
@@ -15,16 +15,21 @@
 
 mod camera;
 mod geometry;
+mod instrument;
 mod look;
 mod noise;
+mod of_world;
+mod piece;
 mod raster;
 mod shade;
 mod slice;
 mod text;
 
 pub use camera::{Camera, View};
-pub use geometry::{Arrow, Instrument, ShadedSurface, bounds_of};
+pub use geometry::{Arrow, ShadedSurface, bounds_of};
+pub use instrument::{Instrument, JawShape, WorkingEnd};
 pub use look::Look;
+pub use of_world::{looks_of, surfaces_of};
 pub use slice::{SlicePlane, SliceSpec, slice_picture};
 pub use text::{Caption, CaptionPlace};
 

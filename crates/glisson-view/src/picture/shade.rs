@@ -1,6 +1,8 @@
 //! Light on the surfaces of a picture.
 //!
-//! Three lamps that go with the camera (key, fill, rim) and a dim surrounding with a soft lamp in it.
+//! In a room: three lamps that go with the camera (key, fill, rim) and a dim surrounding with a soft lamp in it.
+//! Through an endoscope: the lamp beside its lens, whose light falls off with the square of the distance and is turned up
+//! until what is seen is bright enough, and the little that walls throw back, red.
 //! Tissue: wrapped diffuse light, redder in the half-shade, as light that went a short way through it;
 //! above it a body highlight and a wet film, both microfacet highlights (Walter, Marschner, Li and
 //! Torrance 2007, doi 10.2312/EGWR/EGSR07/195-206) with Schlick's Fresnel term (1994, doi
@@ -11,7 +13,7 @@
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::camera::{Camera, Projection};
+use super::camera::{Camera, Light, Projection};
 use super::geometry::{Facets, Part};
 use super::look::{SrgbTable, SurfacePoint, linear, surface_point};
 use super::raster::{Fragment, Samples, ShadowMap};
@@ -30,6 +32,17 @@ const FILM_ROUGHNESS: f32 = 0.17;
 const EXPOSURE: f32 = 0.62;
 /// Reflection of water at normal incidence.
 const WATER_REFLECTION: f32 = 0.035;
+/// What the lamp beside the lens makes of a surface that faces it, where that is as far away as most of the picture.
+const LENS_LIGHT: [f32; 3] = [2.9, 2.75, 2.6];
+/// What metal scatters of the light of the lamp at the lens.
+const METAL_SCATTERS: f32 = 0.16;
+/// Light that walls inside the body throw back.
+const THROWN_BACK: Vec3 = Vec3::new(0.16, 0.052, 0.04);
+/// From where on the picture of an endoscope is darker towards its rim, as a part of its radius; and by how much there.
+const RIM_FROM: f32 = 0.62;
+const RIM_DARKER: f32 = 0.55;
+/// Nearer than this the lamp is not turned down any more [m].
+const NEAREST_METERED_M: f32 = 0.02;
 /// Background from top to bottom, sRGB.
 const BACKGROUND: [[u8; 3]; 2] = [[24, 30, 38], [78, 88, 98]];
 
@@ -56,9 +69,13 @@ pub(super) struct Shading<'a> {
     facets: &'a Facets,
     samples: &'a Samples,
     projection: Projection,
-    /// Key, fill, rim.
+    /// Key, fill, rim; in the light of a lens the first one's alone counts.
     lamps: [Lamp; 3],
-    shadows: ShadowMap,
+    /// Of the key lamp.
+    shadows: Option<ShadowMap>,
+    light: Light,
+    /// Square of the distance [m] at which the lamp at the lens makes what it makes.
+    metered_m2: f32,
     /// Share of the surrounding's light that reaches the nearest surface of each pixel.
     openness: Vec<f32>,
     srgb: SrgbTable,
@@ -82,12 +99,45 @@ impl<'a> Shading<'a> {
             samples,
             projection,
             lamps,
-            shadows: ShadowMap::new(facets, lamps[0].towards),
+            shadows: (camera.light == Light::Room).then(|| ShadowMap::new(facets, lamps[0].towards)),
+            light: camera.light,
+            metered_m2: 1.0,
             openness: Vec::new(),
             srgb: SrgbTable::new(),
         };
-        shading.openness = shading.obscured();
+        let nearest = shading.nearest();
+        shading.openness = shading.obscured(&nearest);
+        shading.metered_m2 = shading.metered(&nearest);
         shading
+    }
+
+    /// Of all that an endoscope sees, the square of the distance at which its lamp does what it does on average [m2].
+    fn metered(&self, nearest: &[Option<(Vec3, Vec3)>]) -> f32 {
+        let mut sum = 0.0;
+        let mut n = 0.0;
+        for (position, _) in nearest.iter().flatten() {
+            sum += 1.0 / f64::from((*position - self.projection.eye).length_squared()).max(1e-12);
+            n += 1.0;
+        }
+        let least = NEAREST_METERED_M * NEAREST_METERED_M;
+        if n > 0.0 { ((n / sum) as f32).max(least) } else { 1.0 }
+    }
+
+    /// How far a pixel is from the middle of an endoscope's picture, as a part of its radius.
+    fn off_middle(&self, column: usize, row: usize) -> f32 {
+        let [x, y] = self.projection.center_pixels;
+        (column as f32 + 0.5 - x).hypot(row as f32 + 0.5 - y) / y
+    }
+
+    /// What of the light comes to a pixel.
+    fn through_lens(&self, column: usize, row: usize) -> f32 {
+        if self.light == Light::Room {
+            return 1.0;
+        }
+        let off = self.off_middle(column, row);
+        let towards_rim = ((off - RIM_FROM) / (1.0 - RIM_FROM)).clamp(0.0, 1.0);
+        let inside = ((1.0 - off) * self.projection.center_pixels[1]).clamp(0.0, 1.0);
+        inside * (1.0 - RIM_DARKER * towards_rim * towards_rim)
     }
 
     /// Colours of row `row` of the picture: three bytes a pixel.
@@ -95,6 +145,11 @@ impl<'a> Shading<'a> {
         let [width, _] = self.samples.size;
         for (column, pixel) in bytes.chunks_exact_mut(3).enumerate() {
             let index = row * width + column;
+            let through = self.through_lens(column, row);
+            if through == 0.0 {
+                pixel.fill(0);
+                continue;
+            }
             let (mut light, mut rest) = (Vec3::ZERO, 1.0);
             for fragment in self.samples.of_pixel(index) {
                 let hit = self.hit(fragment);
@@ -104,7 +159,7 @@ impl<'a> Shading<'a> {
             if rest > 1e-3 {
                 light += rest * self.background(column, row);
             }
-            pixel.copy_from_slice(&self.srgb.encode(light));
+            pixel.copy_from_slice(&self.srgb.encode(through * light));
         }
     }
 
@@ -153,10 +208,26 @@ impl<'a> Shading<'a> {
         let view = to_eye.normalize_or(Vec3::Z);
         let facing = point.normal.dot(view).max(0.02);
         let openness = if hit.part.overlay { 1.0 } else { openness };
-        let key_share = if hit.part.overlay { 1.0 } else { self.shadows.lit_share(hit.position, hit.normal) };
+        let key_share = match &self.shadows {
+            Some(shadows) if !hit.part.overlay => shadows.lit_share(hit.position, hit.normal),
+            _ => 1.0,
+        };
         let mut light = point.glow * point.albedo * 1.6;
-        for (lamp, share) in self.lamps.iter().zip([key_share, 1.0, openness]) {
-            light += share * lit_by(lamp, &point, view, facing);
+        match self.light {
+            Light::Room => {
+                for (lamp, share) in self.lamps.iter().zip([key_share, 1.0, openness]) {
+                    light += share * lit_by(lamp, &point, view, facing);
+                }
+            }
+            Light::AtLens => {
+                let power = self.metered_m2 / to_eye.length_squared().max(1e-8);
+                let lamp = Lamp { towards: view, light: power * Vec3::from_array(LENS_LIGHT) };
+                light += (0.35 + 0.65 * openness) * lit_by(&lamp, &point, view, facing);
+                if point.metal {
+                    // No metal is a perfect mirror.
+                    light += METAL_SCATTERS * facing * lamp.light * point.albedo;
+                }
+            }
         }
         let mirrored = 2.0 * facing * point.normal - view;
         if point.metal {
@@ -164,7 +235,10 @@ impl<'a> Shading<'a> {
             light += point.albedo * rim * self.surrounding(mirrored, point.roughness, key_share) * openness;
         } else {
             let sky = 0.5 + 0.5 * point.normal.dot(self.projection.up);
-            let ambient = Vec3::new(0.22, 0.22, 0.24).lerp(Vec3::new(0.42, 0.43, 0.45), sky);
+            let ambient = match self.light {
+                Light::Room => Vec3::new(0.22, 0.22, 0.24).lerp(Vec3::new(0.42, 0.43, 0.45), sky),
+                Light::AtLens => THROWN_BACK * (0.6 + 0.8 * sky),
+            };
             // Light that was scattered in the folds around has the folds' colour.
             light += point.albedo * ambient * bounced(openness, point.albedo);
             let film = schlick(WATER_REFLECTION, facing);
@@ -180,6 +254,9 @@ impl<'a> Shading<'a> {
     /// `key_share` arrives.
     fn surrounding(&self, direction: Vec3, roughness: f32, key_share: f32) -> Vec3 {
         let up = 0.5 + 0.5 * direction.dot(self.projection.up);
+        if self.light == Light::AtLens {
+            return THROWN_BACK * (0.5 + up);
+        }
         let mut light = Vec3::new(0.16, 0.17, 0.18).lerp(Vec3::new(0.70, 0.73, 0.78), up * up);
         // The soft box around the key lamp, and a window opposite.
         let edge = |cosine: f32, limit: f32| {
@@ -192,25 +269,32 @@ impl<'a> Shading<'a> {
     }
 
     fn background(&self, column: usize, row: usize) -> Vec3 {
+        if self.light == Light::AtLens {
+            return 0.08 * THROWN_BACK;
+        }
         let [width, height] = self.samples.size.map(|edge| edge as f32);
         let (x, y) = ((column as f32 + 0.5) / width - 0.5, (row as f32 + 0.5) / height);
         let light = linear(BACKGROUND[0]).lerp(linear(BACKGROUND[1]), y * y);
         light * (1.0 - 0.9 * (x * x + (y - 0.55) * (y - 0.55)))
     }
 
+    /// Place [m] and normal of the nearest surface in each pixel that is no overlay.
+    fn nearest(&self) -> Vec<Option<(Vec3, Vec3)>> {
+        let [width, height] = self.samples.size;
+        (0..width * height)
+            .into_par_iter()
+            .map(|pixel| {
+                let mut hits = self.samples.of_pixel(pixel).iter().map(|fragment| self.hit(fragment));
+                hits.find(|hit| !hit.part.overlay).map(|hit| (hit.position, hit.normal))
+            })
+            .collect()
+    }
+
     /// Openness of each pixel's nearest surface, averaged over a small window of similar depth.
-    fn obscured(&self) -> Vec<f32> {
+    fn obscured(&self, nearest: &[Option<(Vec3, Vec3)>]) -> Vec<f32> {
         let [width, height] = self.samples.size;
         let (low, high) = self.facets.organ_bounds.unwrap_or((Vec3::ZERO, Vec3::ONE));
         let reach_m = OBSCURANCE_REACH * (high - low).length();
-        // The nearest surface that is no overlay.
-        let nearest: Vec<Option<(Vec3, Vec3)>> = (0..width * height)
-            .into_par_iter()
-            .map(|pixel| {
-                let hits = self.samples.of_pixel(pixel).iter().map(|fragment| self.hit(fragment));
-                hits.into_iter().find(|hit| !hit.part.overlay).map(|hit| (hit.position, hit.normal))
-            })
-            .collect();
         let pattern = obscurance_pattern();
         // An order of the rotations in which neighbours differ much.
         const DITHER: [usize; 16] = [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5];
@@ -239,7 +323,7 @@ impl<'a> Shading<'a> {
                 (1.0 - OBSCURANCE_STRENGTH * sum / OBSCURANCE_SAMPLES as f32).max(0.0)
             })
             .collect();
-        smoothed(&raw, &nearest, [width, height], reach_m)
+        smoothed(&raw, nearest, [width, height], reach_m)
     }
 }
 

@@ -1,7 +1,10 @@
 //! Pictures of shapes whose picture is known, and of an organ to look at.
 
 use glam::DVec3;
-use glisson::math::Aabb;
+use glisson::math::{Aabb, DMat3};
+use glisson::tool::ToolInput;
+use glisson::tool::endoscope::Eye;
+use glisson::tool::pose::ToolFrame;
 
 use super::*;
 
@@ -121,8 +124,13 @@ fn pushed_blob(splits: usize) -> (ShadedSurface, Instrument) {
     }
     let tip_m = nearest + inward * (depth_m - tip_radius_m);
     let shaft = DVec3::new(-0.42, -0.78, 0.46).normalize();
-    let instrument =
-        Instrument { tip_m, handle_m: tip_m + 0.3 * shaft, tip_radius_m, shaft_radius_m: 0.0035 };
+    let instrument = Instrument {
+        frame: ToolFrame::of(&ToolInput::at(tip_m, shaft)),
+        length_m: 0.3,
+        tip_radius_m,
+        shaft_radius_m: 0.0035,
+        end: WorkingEnd::Ball,
+    };
     (blob, instrument)
 }
 
@@ -180,8 +188,8 @@ fn the_same_scene_gives_the_same_bytes_at_any_thread_count() {
     let (blob, instrument) = pushed_blob(3);
     let mut scene = scene(vec![blob], [160, 100]);
     scene.arrows.push(Arrow {
-        from_m: instrument.tip_m,
-        to_m: instrument.tip_m + DVec3::new(0.06, 0.0, 0.04),
+        from_m: instrument.frame.tip_in_world_m,
+        to_m: instrument.frame.tip_in_world_m + DVec3::new(0.06, 0.0, 0.04),
         radius_m: 0.002,
         colour: [250, 200, 60],
     });
@@ -233,4 +241,95 @@ fn an_empty_scene_and_a_point_sized_organ_do_not_panic() {
     };
     Picture::render(&PictureScene { surfaces: Vec::new(), ..empty }).unwrap();
     Picture::render(&scene(vec![sphere(DVec3::ZERO, 0.0, Look::Liver)], [10, 10])).unwrap();
+}
+
+/// A look that nothing else in these scenes has.
+const SIGN: Look = Look::Sign { colour: [20, 240, 60] };
+
+/// How many pixels are of [`SIGN`]'s colour, and the middle of these.
+fn signs(picture: &Picture) -> (usize, [f64; 2]) {
+    let (mut n, mut sum) = (0, [0.0; 2]);
+    for (place, pixel) in picture.rgb.chunks_exact(3).enumerate() {
+        if pixel[1] > 90 && pixel[0] < 90 && pixel[2] < 110 {
+            n += 1;
+            let [x, y] = [place % picture.size[0], place / picture.size[0]];
+            sum = [sum[0] + x as f64, sum[1] + y as f64];
+        }
+    }
+    (n, sum.map(|s| s / n.max(1) as f64))
+}
+
+#[test]
+fn an_endoscope_sees_a_circle_with_what_is_before_it() {
+    // From the front along +y, upright.
+    let eye = Eye {
+        position_in_world_m: DVec3::new(0.0, -0.1, 0.0),
+        forward_in_world: DVec3::Y,
+        up_in_world: DVec3::Z,
+        field_of_view_rad: 1.2,
+    };
+    // To the patient's left and headwards: right and up in the picture.
+    let before = sphere(DVec3::new(0.02, 0.0, 0.03), 0.008, SIGN);
+    let behind = sphere(DVec3::new(-0.02, -0.2, 0.0), 0.008, SIGN);
+    let mut scene = scene(vec![before, behind], [240, 160]);
+    scene.camera = Camera::through(&eye);
+    let picture = Picture::render(&scene).unwrap();
+    let (n, [x, y]) = signs(&picture);
+    let focal = 80.0 / 0.6f64.tan();
+    assert!(
+        (x - (120.0 + 0.2 * focal)).abs() < 3.0 && (y - (80.0 - 0.3 * focal)).abs() < 3.0,
+        "{n} at {x}, {y}"
+    );
+    // Black outside of the circle, which touches the upper and the lower edge.
+    for [column, row] in [[0, 0], [239, 0], [0, 159], [39, 80], [201, 80]] {
+        assert_eq!(picture.pixel(column, row), [0; 3], "{column}, {row}");
+    }
+    assert_ne!(picture.pixel(120, 2), [0; 3]);
+    // Twice as near and half as large, a thing is lit as brightly: the lamp is turned down.
+    let mut grey = |scale: f64| {
+        let plate =
+            sphere(DVec3::new(0.0, -0.1 + 0.1 * scale, 0.0), 0.04 * scale, Look::Plastic { colour: [64; 3] });
+        scene.surfaces = vec![plate];
+        // Beside the lamp's own image.
+        Picture::render(&scene).unwrap().pixel(150, 80)[1]
+    };
+    let [far, near] = [grey(1.0), grey(0.5)];
+    assert!(far.abs_diff(near) <= 2 && (40..200).contains(&far), "{far} far away, {near} near");
+}
+
+#[test]
+fn jaws_open_to_both_sides_of_the_tip_and_close_on_it() {
+    let picture = |opening_rad: f64| {
+        let instrument = Instrument {
+            // Along -z of the picture: the handle is up, jaws open to left and right.
+            frame: ToolFrame { world_from_tool: DMat3::IDENTITY, tip_in_world_m: DVec3::ZERO },
+            length_m: 0.1,
+            tip_radius_m: 1e-3,
+            shaft_radius_m: 2.5e-3,
+            end: WorkingEnd::Jaws { length_m: 0.02, width_m: 4e-3, opening_rad, shape: JawShape::Broad },
+        };
+        let mut scene = scene(vec![sphere(DVec3::ZERO, 0.02, Look::Liver)], [200, 200]);
+        scene.surfaces.clear();
+        scene.instruments.push(instrument);
+        scene.camera = Camera { eye_m: DVec3::new(0.0, -0.3, 0.0), target_m: DVec3::ZERO, ..scene.camera };
+        Picture::render(&scene).unwrap()
+    };
+    let empty = Picture::render(&scene(Vec::new(), [200, 200])).unwrap();
+    let focal = 100.0 / 14f64.to_radians().tan();
+    let is_metal = |picture: &Picture, x_m: f64, z_m: f64| {
+        let at = [x_m, -z_m].map(|d| (100.0 + focal * d / 0.3).floor() as usize);
+        picture.pixel(at[0], at[1]) != empty.pixel(at[0], at[1])
+    };
+    let (closed, open) = (picture(0.0), picture(1.0));
+    // The ends lie 20 mm from the hinge, half a radian to each side; a jaw is outside of that.
+    let (sin, cos) = 0.515f64.sin_cos();
+    let end = [0.0185 * sin, 0.02 - 0.0185 * cos];
+    for side in [1.0, -1.0] {
+        assert!(
+            is_metal(&open, side * end[0], end[1]) && !is_metal(&closed, side * end[0], end[1]),
+            "{side}"
+        );
+    }
+    assert!(is_metal(&closed, 0.0004, 0.002) && !is_metal(&open, 0.0004, 0.002));
+    assert!(is_metal(&closed, 0.0, 0.05) && is_metal(&open, 0.0, 0.05));
 }

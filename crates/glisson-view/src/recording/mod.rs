@@ -4,7 +4,8 @@
 //! hello, snapshots, topologies -> write -> bytes -> page -> HTML;  bytes -> read -> the frames of docs/protocol.md
 //! ```
 //!
-//! Positions are whole numbers of a step, as differences from the frame before, then deflated; all else of a frame keeps its bits.
+//! Positions are whole numbers of a step, as differences from the frame before, then deflated; all else of a frame keeps its bits, but for
+//! contact points, of which the greatest are kept, rounded.
 
 pub mod error;
 mod surface;

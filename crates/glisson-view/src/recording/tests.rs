@@ -1,12 +1,15 @@
 use super::error::RecordingError;
+use super::page::{page_with, recordings_in};
 use super::read::{Frame, RecordingReader};
-use super::write::{Recording, RecordingSettings, RecordingWriter};
+use super::write::{About, Recording, RecordingSettings, RecordingWriter, TimedNote};
 use crate::server::frames::{Pace, first_position, snapshot_frame, topology_frame};
 use glisson::base64;
 use glisson::math::DVec3;
 use glisson::mesh::NodeId;
+use glisson::record::note::Note;
 use glisson::record::snapshot::{
-    BleedingEnd, BleedingSnapshot, ContactReport, DisplayTopology, Snapshot, ThreadSnapshot, ToolSnapshot,
+    BleedingEnd, BleedingSnapshot, ContactKind, ContactPoint, ContactPoints, ContactReport, DisplayTopology,
+    Snapshot, ThreadSnapshot, ToolSnapshot,
 };
 use glisson::tool::ToolInput;
 use proptest::prelude::*;
@@ -92,6 +95,20 @@ fn snapshot(side: u32, frame: usize) -> Snapshot {
     }
 }
 
+/// One that is written without loss.
+fn contacts(frame: usize) -> ContactPoints {
+    let mut all = ContactPoints::default();
+    all.add(ContactPoint {
+        kind: ContactKind::ToolOrgan,
+        touched: 0,
+        by: 1,
+        place_m: DVec3::new(0.015625, 0.0, 0.0078125),
+        normal: DVec3::NEG_Y,
+        force_n: DVec3::Y * if frame < 40 { 0.5 } else { 1.5 },
+    });
+    all
+}
+
 fn hello(side: u32) -> serde_json::Value {
     let topology = sheet(side, 0);
     let tool = |name: &str| {
@@ -115,9 +132,16 @@ fn recording(side: u32, n_frames: usize) -> Recording {
     let mut writer = RecordingWriter::new(SETTINGS);
     writer.greet_with(&hello(side));
     for frame in 0..n_frames {
-        writer.add(&snapshot(side, frame), || sheet(side, version_of(frame))).unwrap();
+        writer.add(&snapshot(side, frame), &contacts(frame), || sheet(side, version_of(frame))).unwrap();
     }
-    writer.finish(None)
+    let note = |time_s, note| TimedNote { time_s, note };
+    let stroke = vec![DVec3::new(0.005, 0.0, 0.005), DVec3::new(0.015, 0.0, 0.005)];
+    let notes = [
+        note(0.9, Note::Bookmark { time_s: 0.5, text: "here".into() }),
+        note(1.0, Note::Drawing { points_m: stroke }),
+        note(2.0, Note::Erased {}),
+    ];
+    writer.finish(&About { notes: &notes, ..About::default() })
 }
 
 fn frames_of(bytes: &[u8]) -> Result<Vec<Frame>, RecordingError> {
@@ -162,7 +186,12 @@ fn what_is_read_is_what_was_shown_within_half_a_step() {
                 assert_eq!(shown, Some(version_of(frame)));
                 let snapshot = snapshot(side, frame);
                 let n = 3 * snapshot.positions_m.len();
-                check_close(&found, &snapshot_frame(&snapshot, &pace, None, None), first_position(2), n);
+                check_close(
+                    &found,
+                    &snapshot_frame(&snapshot, &pace, Some(&contacts(frame)), None),
+                    first_position(2),
+                    n,
+                );
                 frame += 1;
             }
         }
@@ -189,12 +218,12 @@ fn a_node_without_a_place_is_told_with_its_step() {
     let mut broken = snapshot(3, 0);
     for bad in [f64::NAN, f64::INFINITY, 1e6] {
         broken.positions_m[2].y = bad;
-        let error = RecordingWriter::new(SETTINGS).add(&broken, || sheet(3, 0)).unwrap_err();
+        let error = RecordingWriter::new(SETTINGS).add(&broken, &contacts(0), || sheet(3, 0)).unwrap_err();
         assert!(error.to_string().starts_with("step 10: "), "{error}");
     }
     let mut broken = snapshot(3, 0);
     broken.tools[1].force_n.x = f64::NAN;
-    assert!(RecordingWriter::new(SETTINGS).add(&broken, || sheet(3, 0)).is_err());
+    assert!(RecordingWriter::new(SETTINGS).add(&broken, &contacts(0), || sheet(3, 0)).is_err());
 }
 
 #[test]
@@ -249,4 +278,16 @@ fn the_fixture_of_the_page_is_this_recording() {
     let fixture = base64::decode(&std::fs::read_to_string(&path).unwrap()).unwrap();
     assert!(fixture.len() < 20_000);
     assert!(frames_of(&fixture).unwrap() == frames_of(&bytes).unwrap());
+}
+
+#[test]
+fn a_page_has_the_recordings_that_were_put_into_it() {
+    let (one, other) = (recording(3, 2).bytes, recording(4, 3).bytes);
+    let Some(empty) = page_with(&[]) else {
+        eprintln!("SKIPPED: web/dist is not built (cd web && npm run build)");
+        return;
+    };
+    assert_eq!(recordings_in(&empty), Vec::<Vec<u8>>::new());
+    assert_eq!(recordings_in(&page_with(&[&one]).unwrap()), std::slice::from_ref(&one));
+    assert_eq!(recordings_in(&page_with(&[&one, &other]).unwrap()), [one, other]);
 }

@@ -8,7 +8,9 @@ use crate::server::frames::{self, Pace};
 use crate::server::messages;
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
-use glisson::record::snapshot::{DisplayTopology, Snapshot};
+use glisson::math::DVec3;
+use glisson::record::note::Note;
+use glisson::record::snapshot::{ContactPoint, ContactPoints, DisplayTopology, Snapshot};
 use glisson::training::task::TaskResult;
 use glisson_runtime::Simulation;
 use serde_json::{Value, json};
@@ -33,6 +35,26 @@ pub struct NotRecordable {
     pub step: u64,
     /// See [`RecordingSettings::step_m`].
     pub step_m: f64,
+}
+
+/// What somebody wanted to be kept, and when that was.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TimedNote {
+    /// When it was written down [s].
+    pub time_s: f64,
+    /// What.
+    pub note: Note,
+}
+
+/// What is known of a session at its end.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct About<'a> {
+    /// What it is called where another one is beside it.
+    pub name: Option<&'a str>,
+    /// The result of its task.
+    pub task: Option<&'a TaskResult>,
+    /// What who watched it kept.
+    pub notes: &'a [TimedNote],
 }
 
 /// A finished recording, and what it is like.
@@ -94,6 +116,29 @@ fn put_changed(out: &mut Vec<u8>, bytes: &[u8], before: &[u8]) {
     out.extend(bytes.iter().zip(before.iter().chain(std::iter::repeat(&0))).map(|(x, y)| x ^ y));
 }
 
+/// Contact points that a recording keeps: those with the greatest forces. Choices: as many as can be told apart in a picture.
+const MOST_OF_TOOLS: usize = 16;
+const MOST_OF_BODIES: usize = 32;
+
+/// The contact points that are kept, with numbers that are shorter to write: places to 1/8,192 of themselves (0.01 mm a
+/// decimetre away), normals and forces to 1/512.
+fn shortened(all: &ContactPoints) -> ContactPoints {
+    let short = |v: DVec3, bits: u32| {
+        let cut = |x: f64| f64::from(f32::from_bits((x as f32).to_bits() & (u32::MAX << bits)));
+        DVec3::from_array(v.to_array().map(cut))
+    };
+    let is_of_tool = |point: &&ContactPoint| point.kind.is_of_tool();
+    let of_tools = all.points.iter().filter(is_of_tool).take(MOST_OF_TOOLS);
+    let others = all.points.iter().filter(|point| !is_of_tool(point)).take(MOST_OF_BODIES);
+    let points = of_tools.chain(others).map(|point| ContactPoint {
+        place_m: short(point.place_m, 10),
+        normal: short(point.normal, 14),
+        force_n: short(point.force_n, 14),
+        ..*point
+    });
+    ContactPoints { points: points.collect(), sums: all.sums }
+}
+
 /// To a ten-thousandth, which is shorter to write.
 fn rounded(x: f64) -> f64 {
     (1e4 * x).round() / 1e4
@@ -128,13 +173,14 @@ impl RecordingWriter {
         self.hellos.push(json!({ "first_frame": self.times_s.len(), "hello": hello }));
     }
 
-    /// Adds a frame; `topology` is asked for when it is not that of the frame before.
+    /// Adds a frame with where surfaces bear forces; `topology` is asked for when it is not that of the frame before.
     ///
     /// # Errors
     /// When a node or an instrument is nowhere.
     pub fn add(
         &mut self,
         snapshot: &Snapshot,
+        contacts: &ContactPoints,
         topology: impl FnOnce() -> DisplayTopology,
     ) -> Result<(), NotRecordable> {
         let step_m = self.settings.step_m;
@@ -177,7 +223,8 @@ impl RecordingWriter {
                 (surface, rest, Vec::new(), Vec::new())
             }
         };
-        self.last = Some(self.put_frame(snapshot, surface, places, &expected, (&head, &tail)));
+        let contacts = shortened(contacts);
+        self.last = Some(self.put_frame((snapshot, &contacts), surface, places, &expected, (&head, &tail)));
         self.times_s.push(rounded(snapshot.time_s));
         self.forces_n.push(snapshot.tools.iter().map(|tool| rounded(tool.force_n.length())).collect());
         Ok(())
@@ -186,14 +233,14 @@ impl RecordingWriter {
     /// All of a frame but whether its surface is another.
     fn put_frame(
         &mut self,
-        snapshot: &Snapshot,
+        (snapshot, contacts): (&Snapshot, &ContactPoints),
         surface: Surface,
         places: Vec<Place>,
         expected: &[Place],
         (head, tail): (&[u8], &[u8]),
     ) -> Last {
         let pace = Pace::default();
-        let mut whole = frames::snapshot_frame(snapshot, &pace, None, None);
+        let mut whole = frames::snapshot_frame(snapshot, &pace, Some(contacts), None);
         let first = frames::first_position(snapshot.tools.len());
         let new_tail = whole.split_off(first + 12 * places.len());
         whole.truncate(first);
@@ -237,8 +284,8 @@ impl RecordingWriter {
         self.times_s.len()
     }
 
-    /// The recording, with the result of the session's task.
-    pub fn finish(mut self, task: Option<&TaskResult>) -> Recording {
+    /// The recording of a session.
+    pub fn finish(mut self, about: &About) -> Recording {
         self.end_block();
         let block = |block: &Block| json!([block.first_frame, block.n_bytes, block.n_raw_bytes]);
         let head = json!({
@@ -248,7 +295,9 @@ impl RecordingWriter {
             "time_s": self.times_s,
             "force_n": self.forces_n,
             "blocks": self.blocks.iter().map(block).collect::<Vec<_>>(),
-            "task": task.map(task_json),
+            "name": about.name,
+            "task": about.task.map(task_json),
+            "notes": about.notes.iter().map(note_json).collect::<Vec<_>>(),
         });
         let head = pack(head.to_string().as_bytes());
         let mut bytes = MAGIC.to_vec();
@@ -264,6 +313,19 @@ impl RecordingWriter {
             largest_error_m: self.largest_error_m,
             duration_s: ends.map_or(0.0, |(first, last)| last - first),
         }
+    }
+}
+
+fn note_json(TimedNote { time_s, note }: &TimedNote) -> Value {
+    match note {
+        Note::Bookmark { time_s, text } => {
+            json!({ "kind": "bookmark", "time_s": rounded(*time_s), "text": text })
+        }
+        Note::Drawing { points_m } => {
+            let points_m: Vec<_> = points_m.iter().map(|point_m| point_m.to_array()).collect();
+            json!({ "kind": "drawing", "time_s": rounded(*time_s), "points_m": points_m })
+        }
+        Note::Erased {} => json!({ "kind": "erased", "time_s": rounded(*time_s) }),
     }
 }
 
@@ -297,4 +359,38 @@ pub(super) fn with_each_block_changed(recording: &[u8], change: impl Fn(&mut Vec
     }
     let head = pack(head.to_string().as_bytes());
     [&recording[..8], &(head.len() as u32).to_le_bytes(), &head, &packed].concat()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glisson::record::snapshot::ContactKind;
+
+    #[test]
+    fn the_greatest_contacts_are_kept_nearly_as_they_were() {
+        let mut all = ContactPoints::default();
+        for i in 0..40 {
+            for kind in [ContactKind::ToolOrgan, ContactKind::Bodies] {
+                let place_m = DVec3::new(0.1, -0.0731, 0.2) * (1.0 - 0.01 * f64::from(i));
+                let force_n = DVec3::new(0.3, -0.01, 2.0) / f64::from(i + 1);
+                all.add(ContactPoint {
+                    kind,
+                    touched: 1,
+                    by: 0,
+                    place_m,
+                    normal: place_m.normalize(),
+                    force_n,
+                });
+            }
+        }
+        all.points.sort_by_key(|point| !point.kind.is_of_tool());
+        let kept = shortened(&all);
+        assert_eq!((kept.sums, kept.points.len()), (all.sums, MOST_OF_TOOLS + MOST_OF_BODIES));
+        assert_eq!(kept.points[MOST_OF_TOOLS].kind, ContactKind::Bodies);
+        for (kept, point) in kept.points.iter().zip(&all.points[..MOST_OF_TOOLS]) {
+            assert!(kept.place_m.distance(point.place_m) < 5e-5);
+            assert!(kept.force_n.distance(point.force_n) < 4e-3 * point.force_n.length());
+            assert!(kept.normal.distance(point.normal) < 4e-3);
+        }
+    }
 }

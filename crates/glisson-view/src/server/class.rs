@@ -2,13 +2,14 @@
 //!
 //! Places are those of the tissue at rest, so that what is drawn goes with it.
 
+use glisson::math::DVec3;
+use glisson::record::note::Note;
 use glisson_runtime::control::{Control, Viewer};
 use serde::Serialize;
 use tokio::sync::watch;
 
-/// Signs of a name at most, and points of a stroke: choices.
+/// Signs of a name at most: a choice.
 pub(super) const LONGEST_NAME: usize = 40;
-pub(super) const MOST_POINTS: usize = 200;
 /// Strokes and marks at most; the oldest goes. A choice.
 const MOST_MARKS: usize = 100;
 
@@ -54,6 +55,19 @@ pub(super) enum ClassWish {
     TakeOver,
     /// It goes back to who had it.
     GiveBack,
+}
+
+impl ClassWish {
+    /// What of it a session keeps.
+    pub(super) fn note(&self) -> Option<Note> {
+        match self {
+            Self::Draw(points_m) => {
+                Some(Note::Drawing { points_m: points_m.iter().copied().map(DVec3::from_array).collect() })
+            }
+            Self::Erase => Some(Note::Erased {}),
+            _ => None,
+        }
+    }
 }
 
 /// The class of one simulation.

@@ -1,11 +1,12 @@
 //! The JSON messages of the viewer's protocol.
 
-use super::class::{ClassWish, LONGEST_NAME, MOST_POINTS, Present};
+use super::class::{ClassWish, LONGEST_NAME, Present};
 use super::hands::FeltBy;
 use super::inside::Look;
 use glisson::math::{Aabb, DVec3};
 use glisson::model::kind::{MODELS, ModelKind};
 use glisson::record::inside::{Field, Plane};
+use glisson::record::note::{MOST_POINTS, Note};
 use glisson::record::parameter::Parameter;
 use glisson::record::snapshot::{
     BleedingEnd, BleedingSnapshot, ClipSnapshot, ContactReport, ThreadSnapshot, ToolSnapshot,
@@ -375,6 +376,12 @@ enum ViewerMessage {
         points_m: Vec<[f64; 3]>,
     },
     Erase {},
+    Bookmark {
+        #[serde(default)]
+        time_s: Option<f64>,
+        #[serde(default)]
+        text: String,
+    },
     Leave {},
     Contacts {
         shown: bool,
@@ -483,6 +490,13 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
             }
             points_m.iter().try_for_each(|point_m| near_enough("points_m", point_m))?;
             return Ok(Wish::Class(ClassWish::Draw(points_m)));
+        }
+        ViewerMessage::Bookmark { time_s, text } => {
+            // Of now: the simulation knows when that is.
+            let time_s = time_s.unwrap_or(f64::MAX);
+            let note = Note::Bookmark { time_s, text: text.trim().to_owned() };
+            note.check()?;
+            Command::Note(note)
         }
         ViewerMessage::Contacts { shown } => return Ok(Wish::Contacts(shown)),
         ViewerMessage::Tool { tool, tip_m, shaft, roll_rad, jaw, trigger } => {
@@ -621,6 +635,12 @@ mod tests {
         assert_eq!(named, Ok(Wish::Class(ClassWish::Introduce("Ada".into()))));
         let drawn = wish(r#"{"type":"draw","points_m":[[0,0,0.1],[0,1,0]]}"#);
         assert_eq!(drawn, Ok(Wish::Class(ClassWish::Draw(vec![[0.0, 0.0, 0.1], [0.0, 1.0, 0.0]]))));
+        let note = |time_s, text: &str| Ok(Command::Note(Note::Bookmark { time_s, text: text.into() }));
+        assert_eq!(command(r#"{"type":"bookmark"}"#), note(f64::MAX, ""));
+        assert_eq!(
+            command(r#"{"type":"bookmark","time_s":1.5,"text":" it bleeds "}"#),
+            note(1.5, "it bleeds")
+        );
         assert_eq!(wish(r#"{"type":"point","at_m":null}"#), Ok(Wish::Class(ClassWish::Point(None))));
         assert_eq!(command(r#"{"type":"speed","factor":0.25}"#), Ok(Command::Speed(0.25)));
         let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
@@ -641,6 +661,8 @@ mod tests {
             r#"{"type":"point","at_m":[0,1e999,0]}"#,
             r#"{"type":"introduce","name":"a\u0007"}"#,
             r#"{"type":"introduce","name":"aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa"}"#,
+            r#"{"type":"bookmark","time_s":-1}"#,
+            r#"{"type":"bookmark","text":"a\u0007"}"#,
             r#"{"type":"speed","factor":0}"#,
             r#"{"type":"speed","factor":2}"#,
             r#"{"type":"leave","now":true}"#,

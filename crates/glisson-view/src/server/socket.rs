@@ -305,13 +305,18 @@ impl Connection {
                 self.contacts = shown.then(|| watchers.enter());
             }
             // Who teaches has no instrument in the hand, and need not be in control.
-            Ok(Wish::Command(command @ Command::TaskEvent { .. })) => self.obey(command).await,
+            Ok(Wish::Command(command @ (Command::TaskEvent { .. } | Command::Note(_)))) => {
+                self.obey(command).await;
+            }
             Ok(Wish::Command(command @ Command::Pause(_))) if self.seat.is_teacher => {
                 self.obey(command).await;
             }
             Ok(Wish::Class(wish)) => {
-                if let Err(reason) = shared.class.obey(wish, viewer, control) {
-                    self.say(messages::error(reason)).await?;
+                let note = wish.note();
+                match (shared.class.obey(wish, viewer, control), note) {
+                    (Ok(()), Some(note)) => self.obey(Command::Note(note)).await,
+                    (Ok(()), None) => {}
+                    (Err(reason), _) => self.say(messages::error(reason)).await?,
                 }
             }
             Ok(Wish::Leave) if self.seat.shared.leaving.is_none() => {

@@ -2,5 +2,6 @@
 
 pub mod inside;
 pub mod parameter;
+pub mod note;
 pub mod session;
 pub mod snapshot;

@@ -9,6 +9,7 @@ use crate::mesh::TetId;
 use crate::model::LevelOfDetail;
 use crate::model::StateHash;
 use crate::model::kind::ModelKind;
+use crate::record::note::Note;
 use crate::record::parameter::Parameter;
 use crate::tool::external_detection::ExternalDetection;
 use crate::tool::{MAX_TOOLS, ToolInput};
@@ -165,6 +166,13 @@ pub enum SessionEvent {
         /// Its new value, in SI.
         value: f64,
     },
+    /// Somebody who watched wanted this to be kept. It changes nothing.
+    Note {
+        /// Index of the step to be made.
+        step: u64,
+        /// What.
+        note: Note,
+    },
     /// The state after `step` steps.
     Checkpoint {
         /// Steps made.
@@ -197,6 +205,7 @@ impl SessionEvent {
             | Self::Effort { step, .. }
             | Self::QueueModelSwap { step, .. }
             | Self::Turn { step, .. }
+            | Self::Note { step, .. }
             | Self::Checkpoint { step, .. }
             | Self::End { step, .. } => step,
         }
@@ -291,6 +300,7 @@ fn check_event(event: &SessionEvent, last_step: u64) -> Result<(), String> {
     }
     match event {
         SessionEvent::Input { .. } => check_input(event),
+        SessionEvent::Note { note, .. } => note.check(),
         SessionEvent::Clip { tool, .. } if usize::from(*tool) >= MAX_TOOLS => {
             Err(format!("instrument {tool}; allowed: below {MAX_TOOLS}"))
         }
@@ -445,6 +455,9 @@ mod tests {
                 value: 1.0 / 3.0e-4,
             },
             SessionEvent::Checkpoint { step: 10, state_hash: hash },
+            SessionEvent::Note { step: 11, note: Note::Bookmark { time_s: 0.1, text: "\"so\"".into() } },
+            SessionEvent::Note { step: 11, note: Note::Drawing { points_m: vec![DVec3::X / 3.0] } },
+            SessionEvent::Note { step: 11, note: Note::Erased {} },
             SessionEvent::Reset { step: 12 },
             SessionEvent::UndoEdit { step: 12 },
             SessionEvent::Clip { step: 12, tool: 1 },
@@ -484,7 +497,7 @@ mod tests {
         let (events, text) = sample();
         let session = parse_session(&text[..text.len() - 30]).unwrap();
         assert!(session.cut_off);
-        assert_eq!(session.events, events[..9]);
+        assert_eq!(session.events, events[..events.len() - 1]);
     }
 
     #[test]
@@ -498,10 +511,11 @@ mod tests {
         );
         assert!(with("glisson-session", "other").contains("\"other\""));
         assert!(with("n_substeps\":1", "n_substeps\":0").starts_with("line 2"));
-        assert!(with("reset", "explode").starts_with("line 6"));
+        assert!(with("reset", "explode").starts_with("line 9"));
+        assert!(with("\"time_s\":0.1", "\"time_s\":-0.1").starts_with("line 6: \"time_s\" is -0.1"));
         assert!(
             with("\"clip\",\"step\":12,\"tool\":1", "\"clip\",\"step\":12,\"tool\":9")
-                .starts_with("line 8: instrument 9")
+                .starts_with("line 11: instrument 9")
         );
     }
 

@@ -115,6 +115,27 @@ fn what_was_parted_between_two_cuts_comes_back_with_the_later_one() {
     assert_eq!(world.n_strands_between([0, 1])[0], n_left);
 }
 
+/// A ligament that is hardly longer than what its node moves in a step turns as it is pulled: it must not swing to and fro.
+#[test]
+fn short_ligaments_come_to_rest() {
+    let text = "glisson_scene = 1\n[simulation]\ntime_step = \"8 ms\"\ngravity = [\"6 m/s2\", 0, \"-7 m/s2\"]\n\
+         [[organ]]\nname = \"cube\"\nbox = { min = [\"-20 mm\", \"-20 mm\", \"-60.1 mm\"], max = [\"20 mm\", \"20 mm\", \"-20.1 mm\"] }\n\
+         edge = \"10 mm\"\nyoung_modulus = \"10 kPa\"\npoisson_ratio = 0.3\ndensity = \"1000 kg/m3\"\nmodel = \"implicit\"\n\
+         damping = \"20 1/s\"\nimaged_under_gravity = false\n\
+         [[rigid]]\nname = \"slab\"\nslab = { point = [0, 0, 0], normal = [0, 0, 1], size = \"200 mm\", thickness = \"20 mm\" }\n\
+         [[attachment]]\nbody = \"cube\"\nto = \"slab\"\nkind = \"membrane\"\nreach = \"1 mm\"\nstiffness = \"600 N/m\"\ndamping = \"20 ms\"\n\
+         [tool]\ntip_radius = \"5 mm\"\nhome_tip = [0, 0, \"200 mm\"]\nhome_shaft = [0, 0, 1]\n";
+    let mut world =
+        build_world(&Scene::parse(text).unwrap(), Path::new("."), Arc::new(Sequential)).unwrap().0;
+    let home = StepInput::of(&[world.tools()[0].home]);
+    for _ in 0..400 {
+        world.step(&home);
+    }
+    let fastest_m_per_s =
+        world.state().velocities_m_per_s.iter().fold(0.0_f64, |fastest, v| fastest.max(v.length()));
+    assert!(fastest_m_per_s < 1e-3, "{fastest_m_per_s}");
+}
+
 #[test]
 fn tables_of_attachments_are_checked() {
     let refuse = |attachment: &str| {

@@ -1,6 +1,6 @@
 //! Attachments between two bodies: springs with dampers between a node and a place on the other body's surface.
 
-use super::NodeContact;
+use super::{NodeContact, within_cone};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
 
@@ -80,6 +80,9 @@ impl Bond {
         Self { nodes, weights, kind, stiffness_n_per_m, damping_s, can_be_cut, strength_n }
     }
 }
+
+/// Of the pull of a ligament so much may act across its direction: a choice.
+const MOST_LEAN: f64 = 1.0;
 
 /// A bond as a row of the system of contacts.
 #[derive(Clone, Debug)]
@@ -168,12 +171,13 @@ impl BondRow {
         }
     }
 
-    /// The nearest force on the node that the bond can exert.
+    /// The nearest force on the node that the bond can exert. The pull of a ligament may lean: its direction is that before the
+    /// response, and what keeps it from swinging past its new one in a step is a force across it, which is none at rest.
     pub(super) fn project(&self, force_n: DVec3) -> DVec3 {
         match self.pull_along {
             _ if !self.is_whole => DVec3::ZERO,
             None => force_n,
-            Some(along) => along * force_n.dot(along).min(0.0),
+            Some(along) => within_cone(-along, force_n, MOST_LEAN),
         }
     }
 }

@@ -159,3 +159,10 @@ impl Blow {
         sum_n_s
     }
 }
+
+/// The nearest force in Coulomb's cone, along the normal first.
+fn within_cone(normal: DVec3, force_n: DVec3, friction: f64) -> DVec3 {
+    let push_n = force_n.dot(normal).max(0.0);
+    let across_n = force_n - normal * force_n.dot(normal);
+    normal * push_n + across_n.clamp_length_max(friction * push_n)
+}

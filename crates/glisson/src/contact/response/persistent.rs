@@ -17,11 +17,11 @@
 //! of the other body, at the end of the step. With its stretch e it asks for e + r + f/(k + d/h) = (d/h)/(k + d/h) e(t), so that
 //! springs of any stiffness are stable.
 
-use super::NodeContact;
 use super::bodies::ResponseReport;
 use super::bond::{Bond, BondRow};
 use super::find::{ContactSearch, ContactSearchParams};
 use super::rest_gaps::RestGaps;
+use super::{NodeContact, within_cone};
 use crate::contact::broad_phase::BroadPhaseKind;
 use crate::math::DVec3;
 use crate::mesh::topology::{Through, Topology, surface_of};
@@ -648,13 +648,6 @@ pub fn places_in_touch(params: &BodyContactParams, bodies: &BodiesOfSurface<'_>)
         corners.iter().for_each(|&v| areas_m2[v as usize] += third_m2);
     }
     PlacesInTouch { contacts: contact.contacts, nodes: contact.nodes, areas_m2 }
-}
-
-/// The nearest force in Coulomb's cone, along the normal first.
-fn within_cone(normal: DVec3, force_n: DVec3, friction: f64) -> DVec3 {
-    let push_n = force_n.dot(normal).max(0.0);
-    let across_n = force_n - normal * force_n.dot(normal);
-    normal * push_n + across_n.clamp_length_max(friction * push_n)
 }
 
 /// How contacts between bodies are looked for.

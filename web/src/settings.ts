@@ -63,7 +63,7 @@ export const USUAL: Settings = {
 export type Store = Pick<Storage, "getItem" | "setItem">;
 
 /** The browser's storage; null where there is none, or it may not be used. */
-function browsersStore(): Store | null {
+export function browsersStore(): Store | null {
   try {
     return typeof window === "undefined" ? null : window.localStorage;
   } catch {

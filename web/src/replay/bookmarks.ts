@@ -2,6 +2,7 @@
  * The bookmarks of a recording: those in it, and those of who looks at it, which the browser keeps for each recording and which
  * an address can bring: `session.html#t=12.3&b=12.3~text&b=15`.
  */
+import type { Store } from "../settings";
 import { inOrder, type Bookmark } from "./notes";
 
 /** Letters of a text at most, as in sessions, and bookmarks of who looks on: choices. */
@@ -67,9 +68,10 @@ export class Bookmarks {
     private readonly recorded: () => readonly Bookmark[],
     private readonly name: string,
     private readonly end_s: number,
-    private readonly memory: Pick<Storage, "getItem" | "setItem">,
+    /** Null where the browser keeps nothing. */
+    private readonly memory: Store | null,
   ) {
-    this.own = stored(memory.getItem(STORED + name));
+    this.own = stored(memory?.getItem(STORED + name) ?? null);
   }
 
   /** All of them in the order of their times; where one is in the recording and of who looks on, the latter. */
@@ -104,7 +106,7 @@ export class Bookmarks {
 
   private keep(): void {
     try {
-      this.memory.setItem(STORED + this.name, JSON.stringify(this.own));
+      this.memory?.setItem(STORED + this.name, JSON.stringify(this.own));
     } catch {
       // A browser that keeps nothing of files has them as long as the page is open.
     }

@@ -14,6 +14,9 @@ interface DrawingChange {
   readonly points_m: readonly Vec3[] | null;
 }
 
+/** Of more drawings the oldest goes, as in the class. */
+const MOST_DRAWN = 100;
+
 export interface Notes {
   /** In the order of their times, one a moment. */
   readonly bookmarks: readonly Bookmark[];
@@ -52,5 +55,5 @@ export function decodeNotes(value: unknown): Notes {
 export function drawnAt({ drawings }: Notes, time_s: number): ReadonlyArray<readonly Vec3[]> {
   const now = drawings.filter((change) => change.time_s <= time_s + 1e-4);
   const from = now.findLastIndex(({ points_m }) => points_m === null) + 1;
-  return now.slice(from).flatMap(({ points_m }) => (points_m === null ? [] : [points_m]));
+  return now.slice(from).slice(-MOST_DRAWN).flatMap(({ points_m }) => (points_m === null ? [] : [points_m]));
 }

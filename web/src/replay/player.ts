@@ -27,6 +27,8 @@ import { neighbour, Playback } from "./playback";
 import type { Recording } from "./recording";
 import { Timeline, timeText } from "./timeline";
 import { Views } from "./views";
+import { MOST_TOOLS } from "../tool_info";
+import { browsersStore } from "../settings";
 
 /** A press of a key turns the view as so many pixels do. */
 const KEY_TURN = 24;
@@ -95,7 +97,7 @@ export class Player {
     page.story.hidden = views.all.every(({ recording }) => recording.story === null);
     // In the time of the first recording.
     const recorded = (): Bookmark[] => views.all.flatMap(({ recording: { notes } }, i) => notes.bookmarks.map((bookmark) => ({ ...bookmark, time_s: bookmark.time_s - views.clock.start_s(i) + views.clock.start_s(0) })));
-    this.bookmarks = new BookmarkList(page.bookmarks, new Bookmarks(recorded, name, views.clock.end_s + views.clock.start_s(0), window.localStorage), {
+    this.bookmarks = new BookmarkList(page.bookmarks, new Bookmarks(recorded, name, views.clock.end_s + views.clock.start_s(0), browsersStore()), {
       jump: (time_s) => this.jump(time_s - views.clock.start_s(0)),
       now: () => this.playback.time_s + views.clock.start_s(0),
       changed: () => this.showBookmarks(),
@@ -134,7 +136,7 @@ export class Player {
     for (const action of ["couple", "align"] as const) bar.offer(action, action === "couple" ? views.isPair : views.clock.canBeginWithTask);
     this.bodies.begin(hello.bodies);
     hello.tools.forEach(({ name }, tool) => this.bar.name(`tool_${tool + 1}` as PlayerAction, name));
-    for (const tool of [0, 1, 2, 3]) this.bar.offer(`tool_${tool + 1}` as PlayerAction, hello.tools.length > 1 && tool < hello.tools.length);
+    for (let tool = 0; tool < MOST_TOOLS; tool++) this.bar.offer(`tool_${tool + 1}` as PlayerAction, hello.tools.length > 1 && tool < hello.tools.length);
     this.showBookmarks();
     this.timeline.choose(scene.chosen, hello.tools[scene.chosen].name);
     document.title = text("replay_title", { scene: hello.scene.name });
@@ -173,7 +175,8 @@ export class Player {
     const time_s = timeInFragment(window.location.hash);
     if (time_s === null) return;
     this.playback.playing = false;
-    this.jump(time_s);
+    // In the time of the first recording, as bookmarks.
+    this.jump(time_s - this.views.clock.start_s(0));
   }
 
   private jumpToFrame(frame: number): void {

@@ -8,7 +8,7 @@ use super::bodies::SurfaceContact;
 use crate::math::{DVec3, closest_point_barycentric, segment_distance};
 use crate::surface::intersect::segment_meets_triangle;
 use crate::tool::pose::ToolFrame;
-use crate::tool::{Burnt, CutRule, Jaws, ToolInput};
+use crate::tool::{Burnt, CutRule, ToolInput};
 
 /// Scissors close over so many flat faces: a choice.
 const FACES_OF_SCISSORS: u32 = 4;
@@ -48,19 +48,35 @@ fn faces_between([b0, b1]: [DVec3; 2], [n0, n1]: [DVec3; 2]) -> [Swept; 2] {
 impl World {
     /// The strands of attachments that hold, with the number of each and its ends now [m].
     pub fn strands_m(&self) -> impl Iterator<Item = (usize, [DVec3; 2])> + '_ {
-        self.body_contact().into_iter().flat_map(|contact| contact.bonds_m())
+        let positions_m = self.model.state().positions_m;
+        self.body_contact().into_iter().flat_map(move |contact| contact.bonds_m(positions_m))
     }
 
     /// Strands between two bodies: how many hold, and how many there were.
     pub fn n_strands_between(&self, bodies: [usize; 2]) -> [usize; 2] {
-        let body = |place: usize| &self.spec.bodies[place].nodes;
-        let is_between = |bond: usize| {
-            let [node, corner, ..] = self.spec.bonds[bond].nodes.map(|node| node.0);
-            let joins = |[one, other]: [usize; 2]| body(one).contains(&node) && body(other).contains(&corner);
-            joins(bodies) || joins([bodies[1], bodies[0]])
+        let n_at_start = (0..self.spec.bonds.len()).filter(|bond| self.joins(*bond, bodies)).count();
+        [self.strands_between(bodies).count(), n_at_start]
+    }
+
+    /// The strands between two bodies that hold.
+    fn strands_between(&self, bodies: [usize; 2]) -> impl Iterator<Item = usize> + '_ {
+        self.strands_m().map(|(bond, _)| bond).filter(move |bond| self.joins(*bond, bodies))
+    }
+
+    /// Whether a strand is between these two bodies.
+    fn joins(&self, bond: usize, [one, other]: [usize; 2]) -> bool {
+        let [node, corner, ..] = self.spec.bonds[bond].nodes.map(|node| node.0);
+        let is_of = |body: usize, node: u32| self.spec.bodies[body].nodes.contains(&node);
+        is_of(one, node) && is_of(other, corner) || is_of(other, node) && is_of(one, corner)
+    }
+
+    /// Whether anything between two bodies can be parted, by an instrument or a pull.
+    pub fn can_be_detached(&self, bodies: [usize; 2]) -> bool {
+        let can_part = |bond: usize| {
+            let bond = &self.spec.bonds[bond];
+            bond.can_be_cut || bond.strength_n.is_finite()
         };
-        let n_now = self.strands_m().filter(|(bond, _)| is_between(*bond)).count();
-        [n_now, (0..self.spec.bonds.len()).filter(|&bond| is_between(bond)).count()]
+        self.strands_between(bodies).all(can_part)
     }
 
     /// Parts the strands that an instrument went through in the step just made; answers how many.
@@ -75,10 +91,10 @@ impl World {
         };
         let spec = &self.spec.tools[tool];
         let reach_m = spec.tip_radius_m + reach_m(spec.kind.burning());
+        let positions_m = self.model.state().positions_m;
         match self.self_contact.as_deref_mut() {
-            Some(SurfaceContact::Bodies(contact)) if !swept.is_empty() => {
-                contact.part_bonds(|strand_m| swept.iter().any(|part| part.meets(strand_m, reach_m)))
-            }
+            Some(SurfaceContact::Bodies(contact)) if !swept.is_empty() => contact
+                .part_bonds(positions_m, |strand_m| swept.iter().any(|part| part.meets(strand_m, reach_m))),
             _ => 0,
         }
     }
@@ -86,13 +102,15 @@ impl World {
     /// What the active part of an instrument went through in the step just made; nothing of one that is not at work.
     fn swept_by(&self, tool: usize) -> Vec<Swept> {
         let (hand, kind) = (&self.tool_states[tool], &self.spec.tools[tool].kind);
+        let on_mesh = self.pose_on_mesh(tool);
         if kind.burning().is_some() {
             if !hand.now.is_triggered() {
                 return Vec::new();
             }
+            let tip_m = on_mesh.tip_in_world_m;
             return vec![match kind.jaws() {
-                Some(jaws) => Swept::Line(along_jaws(&hand.now, jaws)),
-                None => Swept::Line([hand.before.tip_in_world_m, hand.now.tip_in_world_m]),
+                Some(jaws) => Swept::Line([tip_m, tip_m + on_mesh.shaft_in_world * jaws.length_m]),
+                None => Swept::Line([tip_m - hand.now.tip_in_world_m + hand.before.tip_in_world_m, tip_m]),
             }];
         }
         if let Some(blade) = kind.blade() {
@@ -100,11 +118,12 @@ impl World {
                 let tip_m = pose.tip_in_world_m;
                 [tip_m, tip_m + pose.shaft_in_world * blade.length_m]
             };
-            if hand.edge_cuts(&self.spec.tools[tool], self.spec.tearing.as_ref()) {
+            // Loose strands cost no force: with tearing, too, an edge need not have broken into tissue.
+            if hand.now.is_triggered() {
                 return faces_between(edge(&hand.before), edge(&hand.now)).into();
             }
         } else if let Some((jaws, _)) = kind.parting_jaws().filter(|_| hand.just_closed) {
-            let (frame, opening) = (ToolFrame::of(&hand.now), hand.opened_to);
+            let (frame, opening) = (ToolFrame::of(&on_mesh), hand.opened_to);
             let hinge_m = frame.to_world_m(jaws.hinge_in_tool_m());
             let end_m = |place: u32| {
                 let share = f64::from(place) / f64::from(FACES_OF_SCISSORS);
@@ -115,11 +134,6 @@ impl World {
         }
         Vec::new()
     }
-}
-
-/// The line along closed jaws.
-fn along_jaws(pose: &ToolInput, jaws: &Jaws) -> [DVec3; 2] {
-    [pose.tip_in_world_m, pose.tip_in_world_m + pose.shaft_in_world * jaws.length_m]
 }
 
 #[cfg(test)]

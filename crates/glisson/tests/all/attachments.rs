@@ -3,6 +3,7 @@
 use glisson::math::DVec3;
 use glisson::scene::{Scene, build_world};
 use glisson::tool::ToolInput;
+use glisson::training::task::TaskRun;
 use glisson::workers::Sequential;
 use glisson::world::{StepInput, World};
 use std::path::Path;
@@ -10,16 +11,20 @@ use std::sync::Arc;
 
 /// A cube of 40 mm and 64 g hangs half a millimetre under a slab, by an attachment of 200 N/m.
 fn hanging(attachment: &str, tool: &str) -> World {
-    let text = format!(
+    let scene = Scene::parse(&scene_text(attachment, tool, "")).unwrap();
+    build_world(&scene, Path::new("."), Arc::new(Sequential)).unwrap().0
+}
+
+fn scene_text(attachment: &str, tool: &str, more: &str) -> String {
+    format!(
         "glisson_scene = 1\n[simulation]\ntime_step = \"2 ms\"\ngravity = [0, 0, \"-9.81 m/s2\"]\n\
          [[organ]]\nname = \"cube\"\nbox = {{ min = [\"-20 mm\", \"-20 mm\", \"-60.5 mm\"], max = [\"20 mm\", \"20 mm\", \"-20.5 mm\"] }}\n\
          edge = \"10 mm\"\nyoung_modulus = \"100 kPa\"\npoisson_ratio = 0.3\ndensity = \"1000 kg/m3\"\nmodel = \"implicit\"\n\
          damping = \"20 1/s\"\nimaged_under_gravity = false\n\
          [[rigid]]\nname = \"slab\"\nslab = {{ point = [0, 0, 0], normal = [0, 0, 1], size = \"200 mm\", thickness = \"20 mm\" }}\n\
          [[attachment]]\nbody = \"cube\"\nto = \"slab\"\nreach = \"1 mm\"\nstiffness = \"200 N/m\"\ndamping = \"50 ms\"\n{attachment}\n\
-         [tool]\ntip_radius = \"1 mm\"\nhome_tip = [\"-100 mm\", 0, \"-20 mm\"]\n{tool}\n"
-    );
-    build_world(&Scene::parse(&text).unwrap(), Path::new("."), Arc::new(Sequential)).unwrap().0
+         [tool]\nname = \"tool\"\ntip_radius = \"1 mm\"\nhome_tip = [\"-100 mm\", 0, \"-20 mm\"]\n{tool}\n{more}"
+    )
 }
 
 const SCALPEL: &str = "kind = \"scalpel\"\nblade_length = \"60 mm\"\nhome_shaft = [0, 1, 0]\n";
@@ -134,6 +139,54 @@ fn short_ligaments_come_to_rest() {
     let fastest_m_per_s =
         world.state().velocities_m_per_s.iter().fold(0.0_f64, |fastest, v| fastest.max(v.length()));
     assert!(fastest_m_per_s < 1e-3, "{fastest_m_per_s}");
+}
+
+#[test]
+fn a_goal_asks_for_an_attachment_that_can_be_parted() {
+    let task = |attachment: &str| {
+        let world = hanging(attachment, SCALPEL);
+        let text = "[task]\ntitle = \"T\"\n[[task.stage]]\ntitle = \"S\"\ndetach = { body = \"cube\", from = \"slab\" }\n";
+        let scene = Scene::parse(&scene_text(attachment, SCALPEL, text)).unwrap();
+        TaskRun::new(scene.task.as_ref().unwrap(), &world).map(|run| (run, world))
+    };
+    let error = task("kind = \"glue\"").err().unwrap().to_string();
+    assert!(error.contains("nothing attaches cube to slab, or nothing parts what does"), "{error}");
+    assert!(task("kind = \"glue\"\nstrength = \"9 N\"").is_ok());
+    let Ok((mut run, mut world)) = task("kind = \"glue\"\ncut = true") else { panic!("it can be done") };
+    // It begins with the first motion.
+    steps(&mut world, 1, away, 0.0);
+    run.after_step(&world);
+    steps(&mut world, 100, through_the_gap(0.004), 1.0);
+    run.after_step(&world);
+    run.after_step(&world);
+    assert!((run.status().share - 0.6).abs() < 1e-9 && run.status().n_done == 0, "{:?}", run.status());
+    steps(&mut world, 100, through_the_gap(0.03), 1.0);
+    run.after_step(&world);
+    assert_eq!(run.status().n_done, 1);
+    // All is at rest again, also what is drawn of it, and nothing holds any more.
+    world.reset();
+    assert!(world.snapshot().strands_m.is_empty());
+}
+
+/// With tearing an edge that is on parts strands, too, before it has broken into tissue.
+#[test]
+fn strands_cost_an_edge_nothing_where_tissue_tears() {
+    let scene = scene_text("kind = \"glue\"\ncut = true", SCALPEL, "")
+        .replace("model = ", "tearing = true\nmodel = ");
+    let scene = Scene::parse(&scene).unwrap();
+    let mut world = build_world(&scene, Path::new("."), Arc::new(Sequential)).unwrap().0;
+    assert_eq!(steps(&mut world, 100, through_the_gap(0.03), 1.0), 25);
+}
+
+/// After a reset strands are where the bodies are, before any further step.
+#[test]
+fn strands_are_at_rest_after_a_reset() {
+    let mut world = hanging("kind = \"glue\"", SCALPEL);
+    let rest = world.snapshot().strands_m;
+    steps(&mut world, 50, away, 0.0);
+    assert_ne!(world.snapshot().strands_m, rest);
+    world.reset();
+    assert_eq!(world.snapshot().strands_m, rest);
 }
 
 #[test]

@@ -121,9 +121,9 @@ impl BondRow {
         self.sides.weights = [0.0; 4];
     }
 
-    /// Its two ends [m]; none of one that holds no more.
-    pub(super) fn ends_m(&self, positions_m: &[DVec3]) -> Option<[DVec3; 2]> {
-        let [node, a, b, c] = self.sides.vertices.map(|v| positions_m[v as usize]);
+    /// Its two ends [m], with the node of each vertex and the places of all nodes [m]; none of one that holds no more.
+    pub(super) fn ends_m(&self, nodes: &[NodeId], positions_m: &[DVec3]) -> Option<[DVec3; 2]> {
+        let [node, a, b, c] = self.sides.vertices.map(|v| positions_m[nodes[v as usize].index()]);
         let [_, wa, wb, wc] = self.sides.weights;
         self.is_whole.then(|| [node, -(a * wa + b * wb + c * wc)])
     }

@@ -296,17 +296,17 @@ impl BodyContact {
         self.bond_rows[bond].part();
     }
 
-    /// The bonds that hold, by their numbers, with their ends in the last step [m].
-    pub fn bonds_m(&self) -> impl Iterator<Item = (usize, [DVec3; 2])> + '_ {
-        let ends = self.bond_rows.iter().map(|row| row.ends_m(&self.positions_m));
+    /// The bonds that hold, by their numbers, with their ends [m]; for the places of all nodes [m].
+    pub fn bonds_m<'a>(&'a self, positions_m: &'a [DVec3]) -> impl Iterator<Item = (usize, [DVec3; 2])> + 'a {
+        let ends = self.bond_rows.iter().map(|row| row.ends_m(&self.nodes, positions_m));
         ends.enumerate().filter_map(|(bond, ends_m)| Some((bond, ends_m?)))
     }
 
-    /// Parts the bonds that can be cut and that `meets` takes by their ends in the last step [m]; answers how many.
-    pub fn part_bonds(&mut self, meets: impl Fn([DVec3; 2]) -> bool) -> usize {
+    /// Parts the bonds that can be cut and that `meets` takes by their ends [m]; answers how many.
+    pub fn part_bonds(&mut self, positions_m: &[DVec3], meets: impl Fn([DVec3; 2]) -> bool) -> usize {
         let mut n_parted = 0;
         for bond in 0..self.bonds.len() {
-            let ends_m = self.bond_rows[bond].ends_m(&self.positions_m);
+            let ends_m = self.bond_rows[bond].ends_m(&self.nodes, positions_m);
             if self.bonds[bond].can_be_cut && ends_m.is_some_and(&meets) {
                 self.part_bond(bond);
                 n_parted += 1;

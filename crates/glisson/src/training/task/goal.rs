@@ -95,7 +95,7 @@ impl Goal {
             | GoalSource::Bleed { .. } => Vec::new(),
         };
         if let GoalSource::Detach { bodies } = source
-            && world.n_strands_between(bodies)[0] == 0
+            && (world.n_strands_between(bodies)[0] == 0 || !world.can_be_detached(bodies))
         {
             return Err(CannotBe::NotAttached { bodies });
         }

@@ -69,7 +69,8 @@ pub enum TaskError {
     },
     /// Nothing holds the bodies together.
     #[error(
-        "stage {stage} of the task, \"{title}\": nothing attaches {} to {}; give them an [[attachment]]", names[0], names[1]
+        "stage {stage} of the task, \"{title}\": nothing attaches {} to {}, or nothing parts what does; give them an [[attachment]] with \
+         cut = true or a strength", names[0], names[1]
     )]
     NotAttached {
         /// Which stage, from 1.

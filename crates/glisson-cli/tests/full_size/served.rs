@@ -16,6 +16,10 @@ const FIRST_TOOL: usize = 64;
 const TOOL_BYTES: usize = 152;
 /// Of these, where the number of held nodes stands.
 const HELD: usize = 124;
+/// The kind of a snapshot; others are surfaces, 1, and keys of coded positions.
+const SNAPSHOT: u32 = 2;
+/// The flag of coded positions.
+const CODED: usize = 64;
 
 /// What a viewer saw until the script was over.
 #[derive(Debug, Default)]
@@ -43,10 +47,19 @@ impl Seen {
             self.n_cut = self.n_cut.max(bits.iter().map(|byte| byte.count_ones()).sum());
             return;
         }
+        if u32_at(frame, 4) != SNAPSHOT {
+            return;
+        }
         self.n_held = self.n_held.max(u32_at(frame, FIRST_TOOL + HELD));
-        let [n_tools, n_vertices, n_blood] = [52, 56, 60].map(|at| u32_at(frame, at) as usize);
+        let [flags, n_tools, n_vertices, n_blood] = [48, 52, 56, 60].map(|at| u32_at(frame, at) as usize);
         if n_blood > 0 {
-            let sum = FIRST_TOOL + TOOL_BYTES * n_tools + 12 * n_vertices;
+            let positions = FIRST_TOOL + TOOL_BYTES * n_tools;
+            let n_bytes = if flags & CODED != 0 {
+                8 + (u32_at(frame, positions + 4) as usize).next_multiple_of(4)
+            } else {
+                12 * n_vertices
+            };
+            let sum = positions + n_bytes;
             self.n_clips = self.n_clips.max(f32::from_bits(u32_at(frame, sum + 8)));
         }
     }

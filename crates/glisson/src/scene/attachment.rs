@@ -1,6 +1,6 @@
 //! `[[attachment]]`: what ties two bodies to each other.
 
-use super::bodies::SceneBody;
+use super::bodies::{SceneBody, read_body_named};
 use super::reader::{SceneError, Section};
 use super::region::read_region;
 use crate::contact::response::bond::Bond;
@@ -44,14 +44,8 @@ pub(super) fn read_attachment(
     mut section: Section<'_>,
     bodies: &[SceneBody],
 ) -> Result<AttachmentSource, SceneError> {
-    let mut number = |key: &'static str, example: &'static str| -> Result<usize, SceneError> {
-        let (name, at) = section.string(key)?.ok_or_else(|| section.missing(key, example))?;
-        bodies.iter().position(|body| body.name == name).ok_or_else(|| {
-            let names: Vec<&str> = bodies.iter().map(|body| body.name.as_str()).collect();
-            section.wrong_value(at, key, format!("\"{name}\""), &names.join(", "))
-        })
-    };
-    let pair = [number("body", "body = \"liver\"")?, number("to", "to = \"stomach\"")?];
+    let mut number = |key_with_example| read_body_named(&mut section, key_with_example, bodies);
+    let pair = [number(("body", "body = \"liver\""))?, number(("to", "to = \"stomach\""))?];
     if pair[0] == pair[1] {
         let (found, allowed) = ("the same body".to_string(), "another body than \"body\"".to_string());
         return Err(section.wrong_table("to", found, allowed));

@@ -102,6 +102,20 @@ impl<'a> BodySections<'a> {
     }
 }
 
+/// The number of the body that a table names.
+pub(super) fn read_body_named(
+    section: &mut Section<'_>,
+    (key, example): (&'static str, &'static str),
+    bodies: &[SceneBody],
+) -> Result<usize, SceneError> {
+    let (name, at) = section.string(key)?.ok_or_else(|| section.missing(key, example))?;
+    bodies.iter().position(|body| body.name == name).ok_or_else(|| {
+        let names: Vec<&str> = bodies.iter().map(|body| body.name.as_str()).collect();
+        let allowed = if names.is_empty() { "one of several bodies".into() } else { names.join(", ") };
+        section.wrong_value(at, key, format!("\"{name}\""), &allowed)
+    })
+}
+
 /// `name` and `color`; a body without a name has that of its sort and its number, which no other body has.
 fn read_name(
     section: &mut Section<'_>,

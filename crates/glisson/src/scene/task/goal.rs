@@ -1,5 +1,6 @@
 //! What a stage of a task wants: a table of goals, one row each.
 
+use super::super::bodies::read_body_named;
 use super::super::reader::{SceneError, Section, Value};
 use super::TaskScene;
 use super::line::{LineSource, read_ends, read_line};
@@ -248,15 +249,8 @@ fn read_part(table: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSourc
 }
 
 fn read_detach(table: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
-    let mut body = |key: &'static str, example: &'static str| -> Result<usize, SceneError> {
-        let (name, at) = table.string(key)?.ok_or_else(|| table.missing(key, example))?;
-        scene.bodies.iter().position(|body| body.name == name).ok_or_else(|| {
-            let names: Vec<&str> = scene.bodies.iter().map(|body| body.name.as_str()).collect();
-            let allowed = if names.is_empty() { "one of several bodies".into() } else { names.join(", ") };
-            table.wrong_value(at, key, format!("\"{name}\""), &allowed)
-        })
-    };
-    let bodies = [body("body", "body = \"gall bladder\"")?, body("from", "from = \"liver\"")?];
+    let mut body = |key_with_example| read_body_named(table, key_with_example, scene.bodies);
+    let bodies = [body(("body", "body = \"gall bladder\""))?, body(("from", "from = \"liver\""))?];
     Ok(GoalSource::Detach { bodies })
 }
 

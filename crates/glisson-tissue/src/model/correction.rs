@@ -22,6 +22,15 @@ pub enum StepAnswer {
     Static,
 }
 
+/// Where an answer is asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answered {
+    /// At all nodes.
+    Everywhere,
+    /// At the nodes of the forces, of which some may be zero; what others get has no meaning. The same bits, for less.
+    AtForces,
+}
+
 /// What a correction changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Correction {

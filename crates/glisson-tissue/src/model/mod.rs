@@ -35,7 +35,7 @@ mod body_set;
 pub use crate::solve::{Attachment, FixedNode, RestStress};
 pub use body::{DEFAULT_MOST_PARTS, DynamicBody, Rayleigh};
 pub use body_set::{BodyPart, BodySet};
-pub use correction::{Correction, StepAnswer};
+pub use correction::{Answered, Correction, StepAnswer};
 pub use error::{ModelCause, ModelError};
 pub use explicit::{ExplicitError, Inertia, Integration};
 pub use level_of_detail::LevelOfDetail;
@@ -247,7 +247,7 @@ pub trait DeformableModel: Send {
 
     /// With [`StepAnswer::Coupled`]: displacement [m] of every node for forces on some in a step of the length of the last
     /// one. Overwrites `moves_m`, as long as there are nodes; allocates nothing.
-    fn answer_into(&mut self, _forces: &[NodalForce], moves_m: &mut [DVec3]) {
+    fn answer_into(&mut self, _forces: &[NodalForce], moves_m: &mut [DVec3], _at: Answered) {
         moves_m.fill(DVec3::ZERO);
     }
 

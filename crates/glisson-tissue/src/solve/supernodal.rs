@@ -63,8 +63,8 @@ pub(super) fn solve_in_place(
     match symbolic.raw() {
         SymbolicCholeskyRaw::Supernodal(nodes) => {
             let factor = SupernodalLltRef::new(nodes, values);
-            forward_in_place(&factor, (ordered, n), &mut scratch.below);
-            backward_in_place(&factor, (ordered, n), &mut scratch.below);
+            forward_in_place(&factor, (ordered, n), &mut scratch.below, |_| true);
+            backward_in_place(&factor, (ordered, n), &mut scratch.below, |_| true);
         }
         // Of a matrix without products, as a diagonal one.
         SymbolicCholeskyRaw::Simplicial(columns) => {
@@ -78,6 +78,27 @@ pub(super) fn solve_in_place(
             Some((_, inverse)) => to.iter_mut().zip(inverse).for_each(|(x, i)| *x = from[*i as usize]),
             None => to.copy_from_slice(from),
         }
+    }
+}
+
+/// As [`solve_in_place`] for one right-hand side in elimination order that is zero outside the supernodes of the first list; right in
+/// those of the second, with the same bits. Both lists hold the paths to the root of the elimination tree. Allocates nothing.
+///
+/// # Panics
+/// When a length does not fit, or the factor is not supernodal.
+pub(super) fn solve_on_paths(
+    (symbolic, values): (&SymbolicCholesky<u32>, &[f64]),
+    ordered: &mut [f64],
+    [given, asked]: [&[bool]; 2],
+    scratch: &mut FactorScratch,
+) {
+    let SymbolicCholeskyRaw::Supernodal(nodes) = symbolic.raw() else {
+        unreachable!("asked of supernodal factors alone");
+    };
+    if !ordered.is_empty() {
+        let (n, factor) = (ordered.len(), SupernodalLltRef::new(nodes, values));
+        forward_in_place(&factor, (ordered, n), &mut scratch.below, |s| given[s]);
+        backward_in_place(&factor, (ordered, n), &mut scratch.below, |s| asked[s]);
     }
 }
 
@@ -95,14 +116,19 @@ pub(super) fn solve_lower_in_place(
     };
     if !ordered.is_empty() {
         let n = ordered.len();
-        forward_in_place(&SupernodalLltRef::new(nodes, values), (ordered, n), &mut scratch.below);
+        forward_in_place(&SupernodalLltRef::new(nodes, values), (ordered, n), &mut scratch.below, |_| true);
     }
 }
 
-/// L y = b, in columns of `n` rows.
-fn forward_in_place(factor: &SupernodalLltRef<'_, u32, f64>, (x, n): (&mut [f64], usize), below: &mut [f64]) {
+/// L y = b, in columns of `n` rows; y is zero in supernodes that do not count.
+fn forward_in_place(
+    factor: &SupernodalLltRef<'_, u32, f64>,
+    (x, n): (&mut [f64], usize),
+    below: &mut [f64],
+    counts: impl Fn(usize) -> bool,
+) {
     let k = x.len() / n;
-    for s in 0..factor.symbolic().n_supernodes() {
+    for s in (0..factor.symbolic().n_supernodes()).filter(|s| counts(*s)) {
         let node = factor.supernode(s);
         let (pattern, n_rows) = (node.pattern(), node.pattern().len());
         let (diagonal, lower) = node.val().split_at_row(node.val().ncols());
@@ -121,14 +147,15 @@ fn forward_in_place(factor: &SupernodalLltRef<'_, u32, f64>, (x, n): (&mut [f64]
     }
 }
 
-/// L^T x = y, in columns of `n` rows.
+/// L^T x = y, in columns of `n` rows, for the supernodes that count, whose ancestors do, too.
 fn backward_in_place(
     factor: &SupernodalLltRef<'_, u32, f64>,
     (x, n): (&mut [f64], usize),
     below: &mut [f64],
+    counts: impl Fn(usize) -> bool,
 ) {
     let k = x.len() / n;
-    for s in (0..factor.symbolic().n_supernodes()).rev() {
+    for s in (0..factor.symbolic().n_supernodes()).rev().filter(|s| counts(*s)) {
         let node = factor.supernode(s);
         let (pattern, n_rows) = (node.pattern(), node.pattern().len());
         let (diagonal, lower) = node.val().split_at_row(node.val().ncols());

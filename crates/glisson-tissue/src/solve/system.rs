@@ -591,6 +591,29 @@ impl Factorization {
         supernodal::solve_lower_in_place((&self.symbolic, &self.value), solution, scratch);
     }
 
+    /// Overwrites `solution` with that for one right-hand side, in the rows of the supernodes that are asked about, with the bits of
+    /// [`Self::solve_in_place`]; what other rows get has no meaning. `given`: the supernodes outside which the right-hand side is zero.
+    /// Both lists with all ancestors. No allocation.
+    ///
+    /// # Panics
+    /// When a length does not fit.
+    pub(crate) fn solve_on_paths(
+        &self,
+        column: &mut [f64],
+        ordered: &mut [f64],
+        [given, asked]: [&[bool]; 2],
+        scratch: &mut FactorScratch,
+    ) {
+        let (forward, inverse) = self.order();
+        for (x, old) in ordered.iter_mut().zip(forward) {
+            *x = column[*old as usize];
+        }
+        supernodal::solve_on_paths((&self.symbolic, &self.value), ordered, [given, asked], scratch);
+        for (x, place) in column.iter_mut().zip(inverse) {
+            *x = ordered[*place as usize];
+        }
+    }
+
     /// Place of a row in the order of elimination.
     pub(crate) fn place_of_row(&self, row: usize) -> usize {
         self.order().1[row] as usize

@@ -7,7 +7,8 @@ use glisson_tissue::material::{LinearElastic, StableNeoHooke};
 use glisson_tissue::model::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams};
 use glisson_tissue::model::kernel::KernelPath;
 use glisson_tissue::model::{
-    Constraints, DeformableModel, DynamicBody, FixedNode, LocalModel, LocalWork, NodalForce, Rayleigh,
+    Answered, Constraints, DeformableModel, DynamicBody, FixedNode, LocalModel, LocalWork, NodalForce,
+    Rayleigh,
 };
 
 const STEP_S: f64 = 2e-3;
@@ -54,7 +55,7 @@ fn work() -> LocalWork {
 /// What forces do by the whole factor.
 fn answer(model: &mut ImplicitEuler, forces: &[NodalForce]) -> Vec<DVec3> {
     let mut moves_m = vec![DVec3::ZERO; model.state().positions_m.len()];
-    model.answer_into(forces, &mut moves_m);
+    model.answer_into(forces, &mut moves_m, Answered::Everywhere);
     moves_m
 }
 
@@ -88,6 +89,32 @@ fn a_patch_has_the_entries_of_whole_solutions_before_and_after_a_new_factor() {
     model.step(4.0 * STEP_S);
     assert_eq!(model.step_report().n_factors, 1);
     check(&mut model, &many[..20], 4.0 * STEP_S);
+}
+
+#[test]
+fn answers_at_the_nodes_of_the_forces_have_the_bits_of_whole_ones() {
+    let (mesh, mut model) = body();
+    let mut random = SeededRandom::new(8);
+    let mut at_forces_m = vec![DVec3::ZERO; mesh.positions_m.len()];
+    for round in 0..3 {
+        for n in [1, 2, 12, 60, mesh.positions_m.len()] {
+            let mut forces: Vec<NodalForce> = some_nodes(&mesh, n, &mut random)
+                .into_iter()
+                // Some are there to be asked about alone, others nearly so.
+                .map(|node| NodalForce { node, force_n: DVec3::Z * (3.0 * random.uniform() - 1.0).max(0.0) })
+                .collect();
+            forces.sort_by_key(|force| force.node);
+            let whole_m = answer(&mut model, &forces);
+            model.answer_into(&forces, &mut at_forces_m, Answered::AtForces);
+            for NodalForce { node, .. } in forces {
+                assert_eq!(at_forces_m[node.index()], whole_m[node.index()], "{n} nodes in round {round}");
+            }
+        }
+        // Another shape and step, and so another factor.
+        let pull = NodalForce { node: NodeId::from_index(100), force_n: DVec3::new(0.3, 0.1, 0.4) };
+        model.apply(&Constraints { displacements: vec![], forces: vec![pull] });
+        model.step(4.0 * STEP_S * f64::from(round + 1));
+    }
 }
 
 #[test]

@@ -9,7 +9,9 @@ use glisson_tissue::material::{LinearElastic, Ogden, OgdenTerm, StableNeoHooke};
 use glisson_tissue::model::implicit::{
     ImplicitEuler, ImplicitLaw, ImplicitParams, Preconditioner, VolumeResistance,
 };
-use glisson_tissue::model::{Constraints, Correction, DeformableModel, ImposedDisplacement, NodalForce};
+use glisson_tissue::model::{
+    Answered, Constraints, Correction, DeformableModel, ImposedDisplacement, NodalForce,
+};
 
 const SIZE_M: DVec3 = DVec3::new(0.12, 0.1, 0.08);
 
@@ -50,7 +52,7 @@ fn steps_and_corrections_have_the_same_bits_at_any_number_of_threads() {
                 model.apply(&inputs);
                 model.step(0.01);
                 let pull = [NodalForce { node: NodeId::from_index(300), force_n: DVec3::X * 0.02 }];
-                model.answer_into(&pull, &mut moved_m);
+                model.answer_into(&pull, &mut moved_m, Answered::Everywhere);
                 model.correct_step(&pull, 0.01, Correction::Motion);
             }
             let moved = moved_m.iter().flat_map(DVec3::to_array).map(f64::to_bits);

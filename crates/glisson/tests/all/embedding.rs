@@ -15,8 +15,8 @@ use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::hybrid::condensed::ZoneLaw;
 use glisson::model::kind::{MODELS, ModelKind, build_model};
 use glisson::model::{
-    BodyZone, Constraints, Correction, DeformableModel, FixedNode, FollowedEdits, ImposedDisplacement,
-    LocalModel, LocalWork, ModelUndo, NodalForce, OrganBody, Rayleigh, follow_edit,
+    Answered, BodyZone, Constraints, Correction, DeformableModel, FixedNode, FollowedEdits,
+    ImposedDisplacement, LocalModel, LocalWork, ModelUndo, NodalForce, OrganBody, Rayleigh, follow_edit,
 };
 use glisson::tool::cut::subdivision::{CutReport, SubdivisionCut, SubdivisionParams};
 use std::cell::RefCell;
@@ -374,7 +374,7 @@ fn a_step_with_embedded_cuts_allocates_nothing() {
                 model.apply(constraints);
                 model.step(STEP_S);
                 model.local_model_into(&patch, STEP_S, &mut work, &mut local);
-                model.answer_into(&constraints.forces, &mut moves_m);
+                model.answer_into(&constraints.forces, &mut moves_m, Answered::Everywhere);
                 model.correct_step(&constraints.forces, STEP_S, Correction::Motion);
             }
         };

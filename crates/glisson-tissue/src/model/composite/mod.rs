@@ -13,8 +13,8 @@ mod part;
 use self::maps::{Maps, Numbering};
 use self::part::Part;
 use super::{
-    Constraints, Correction, DeformableModel, LevelOfDetail, LocalModel, LocalWork, ModelReport, ModelState,
-    ModelUndo, NodalForce, StepAnswer, TopologyRefusal,
+    Answered, Constraints, Correction, DeformableModel, LevelOfDetail, LocalModel, LocalWork, ModelReport,
+    ModelState, ModelUndo, NodalForce, StepAnswer, TopologyRefusal,
 };
 use crate::workers::SharedWorkers;
 use glisson_mesh::math::DVec3;
@@ -390,9 +390,12 @@ impl DeformableModel for Composite {
         can_part || !is_one_body
     }
 
-    fn answer_into(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3]) {
+    fn answer_into(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3], at: Answered) {
         self.hand_out(forces);
-        self.for_each(Part::answer);
+        self.for_each(match at {
+            Answered::Everywhere => |part| part.answer(Answered::Everywhere),
+            Answered::AtForces => |part| part.answer(Answered::AtForces),
+        });
         for (p, part) in self.all().enumerate() {
             for (&joint, move_m) in self.maps.nodes.of_part(p).iter().zip(&part.moves_m) {
                 moves_m[joint as usize] = *move_m;

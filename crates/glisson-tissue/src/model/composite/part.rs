@@ -1,7 +1,9 @@
 //! One body of a composite model, with what a step of it needs.
 
 use super::super::bounded_vec::BoundedVec;
-use super::super::{Constraints, Correction, DeformableModel, ImposedDisplacement, NodalForce, StepAnswer};
+use super::super::{
+    Answered, Constraints, Correction, DeformableModel, ImposedDisplacement, NodalForce, StepAnswer,
+};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::{NodeId, TetMesh};
 
@@ -78,7 +80,7 @@ impl Part {
     }
 
     /// How the nodes answer to the forces asked about, in `moves_m`.
-    pub(super) fn answer(&mut self) {
+    pub(super) fn answer(&mut self, at: Answered) {
         let Self { model, forces, moves_m, dt_s, .. } = self;
         match model.step_answer() {
             _ if forces.is_empty() => moves_m.fill(DVec3::ZERO),
@@ -89,7 +91,7 @@ impl Part {
                     moves_m[force.node.index()] = answer_m_per_n * force.force_n;
                 }
             }
-            StepAnswer::Coupled { .. } => model.answer_into(forces, moves_m),
+            StepAnswer::Coupled { .. } => model.answer_into(forces, moves_m, at),
             StepAnswer::Static => self.answer_by_steps(),
             StepAnswer::Unknown => moves_m.fill(DVec3::ZERO),
         }

@@ -14,8 +14,8 @@ mod local;
 use self::bearing::Bearing;
 use self::constraints::Carried;
 use super::{
-    Constraints, Correction, DeformableModel, LevelOfDetail, LocalModel, LocalWork, ModelReport, ModelState,
-    ModelUndo, NodalForce, StepAnswer, TopologyRefusal, follow_edit,
+    Answered, Constraints, Correction, DeformableModel, LevelOfDetail, LocalModel, LocalWork, ModelReport,
+    ModelState, ModelUndo, NodalForce, StepAnswer, TopologyRefusal, follow_edit,
 };
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -343,9 +343,9 @@ impl DeformableModel for Embedded {
         self.is_whole || bearing::can_part(sides, self.embedding.ties())
     }
 
-    fn answer_into(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3]) {
+    fn answer_into(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3], at: Answered) {
         if self.is_whole {
-            self.model.answer_into(forces, moves_m);
+            self.model.answer_into(forces, moves_m, at);
             return;
         }
         let of_copies = self.carried.gather(forces, self.embedding.ties());
@@ -356,7 +356,7 @@ impl DeformableModel for Embedded {
                 self.moves_m[force.node.index()] = answer_m_per_n * force.force_n;
             }
         } else {
-            self.model.answer_into(of_copies, &mut self.moves_m);
+            self.model.answer_into(of_copies, &mut self.moves_m, at);
         }
         for (move_m, tie) in moves_m.iter_mut().zip(self.embedding.ties()) {
             *move_m = tie.mean(|node| self.moves_m[node.index()]);

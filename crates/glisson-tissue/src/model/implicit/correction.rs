@@ -1,15 +1,15 @@
 //! Corrections of a step by contact, with the present factor.
 
 use super::ImplicitEuler;
-use crate::model::{Correction, NodalForce};
+use crate::model::{Answered, Correction, NodalForce};
 use glisson_mesh::math::DVec3;
 
 /// Answers to forces are solved by two grids to this residual.
 const ANSWER: f64 = 1e-4;
 
 impl ImplicitEuler {
-    /// Forces on nodes that do not move or are held have no effect.
-    pub(super) fn answer(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3]) {
+    /// Forces on nodes that do not move or are held have no effect. `Answered::AtForces`: right at the nodes of the forces.
+    pub(super) fn answer(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3], at: Answered) {
         moves_m.fill(DVec3::ZERO);
         let Some(lagged) = &mut self.lagged else { return };
         // The residual holds the supports' forces, which are read between steps.
@@ -20,8 +20,9 @@ impl ImplicitEuler {
             let n = force.node.index();
             right[n] += force.force_n * self.mask[n];
         }
+        let is_solved = at == Answered::AtForces && lagged.solve_at_into(forces, right, moves_m);
         // What ended early is not linear in the forces, which contact counts on.
-        if !lagged.solve_into(workers, right, moves_m, ANSWER) {
+        if !is_solved && !lagged.solve_into(workers, right, moves_m, ANSWER) {
             lagged.apply_into(workers, right, moves_m);
         }
         for (moved_m, mask) in moves_m.iter_mut().zip(&self.mask) {
@@ -31,7 +32,7 @@ impl ImplicitEuler {
 
     pub(super) fn correct(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
         let mut moves_m = std::mem::take(&mut self.scratch.before_m);
-        self.answer(forces, &mut moves_m);
+        self.answer(forces, &mut moves_m, Answered::Everywhere);
         if moves_m.iter().all(|m| m.is_finite()) {
             for (n, move_m) in moves_m.iter().enumerate() {
                 self.displacement_m[n] += *move_m;

@@ -1,8 +1,8 @@
 //! The preconditioner of small bodies: a sparse factor of the matrix, which also tells entries of its inverse.
 
 use super::patch_inverse::{Factored, PatchInverse};
-use crate::model::LocalModel;
 use crate::model::kernel::KernelPath;
+use crate::model::{LocalModel, NodalForce};
 use crate::solve::{
     FactorPattern, FactorScratch, Factorization, FreeSystem, NextFactor, SolveError, StiffnessTensors,
 };
@@ -17,6 +17,8 @@ pub(super) struct Direct {
     scratch: FactorScratch,
     free: Vec<f64>,
     eliminated: Vec<f64>,
+    /// Supernodes on the paths of nodes that forces act on, and of those that are asked about.
+    paths: [Vec<bool>; 2],
     /// None for a matrix that is nothing but its diagonal, and before there are values.
     inverse: Option<PatchInverse>,
 }
@@ -33,6 +35,7 @@ impl Direct {
             scratch: factor.scratch(1),
             eliminated: free.clone(),
             free,
+            paths: [Vec::new(), Vec::new()],
             inverse: None,
             next: NextFactor::default(),
             system,
@@ -43,6 +46,8 @@ impl Direct {
     /// Once it has values: makes room for entries of the inverse, and for the next factor.
     pub(super) fn complete(&mut self, n_nodes: usize) {
         self.inverse = self.factor.is_supernodal().then(|| PatchInverse::new(&self.factor, n_nodes));
+        let n_supernodes = if self.inverse.is_some() { self.factor.n_supernodes() } else { 0 };
+        self.paths = [(); 2].map(|()| vec![false; n_supernodes]);
         self.factor.make_room(&mut self.next);
     }
 
@@ -54,6 +59,7 @@ impl Direct {
             scratch: self.scratch.clone(),
             free: self.free.clone(),
             eliminated: Vec::new(),
+            paths: [Vec::new(), Vec::new()],
             inverse: None,
             next: NextFactor::default(),
         }
@@ -104,6 +110,27 @@ impl Direct {
     pub(super) fn solve_into(&mut self, right: &[DVec3], solution: &mut [DVec3]) {
         self.system.gather_into(right, &mut self.free);
         self.factor.solve_in_place(&mut self.free, 1, &mut self.scratch);
+        solution.fill(DVec3::ZERO);
+        self.system.add_scattered(&self.free, solution);
+    }
+
+    /// As [`Self::solve_into`] for forces on these nodes, right at them alone and with the same bits there: nothing outside their paths in
+    /// the elimination tree is computed.
+    pub(super) fn solve_at_into(&mut self, forces: &[NodalForce], right: &[DVec3], solution: &mut [DVec3]) {
+        let Some(inverse) = &self.inverse else { return self.solve_into(right, solution) };
+        let of = (&self.system, &self.factor);
+        let [given, asked] = &mut self.paths;
+        for counts in [&mut *given, &mut *asked] {
+            counts.fill(false);
+        }
+        for force in forces {
+            inverse.add_path(force.node, of, asked);
+            if force.force_n != DVec3::ZERO {
+                inverse.add_path(force.node, of, given);
+            }
+        }
+        self.system.gather_into(right, &mut self.free);
+        self.factor.solve_on_paths(&mut self.free, &mut self.eliminated, [given, asked], &mut self.scratch);
         solution.fill(DVec3::ZERO);
         self.system.add_scattered(&self.free, solution);
     }

@@ -9,6 +9,7 @@ use super::elements::Elements;
 use super::lagged_state::{Edited, LaggedState, NodeTerms};
 use super::late::Late;
 use super::params::Preconditioner;
+use crate::model::NodalForce;
 use crate::solve::{
     BoundaryConditions, FreeSystem, Given, LOCAL_EDGES, MeshEdges, SolveError, StiffnessTensors, TwoGrid,
 };
@@ -305,6 +306,19 @@ impl Lagged {
             is_solved = grids.solve_into(workers, right, solution, (residual_share, MOST_ITERATIONS));
         });
         is_solved
+    }
+
+    /// By a factor, [`Self::solve_into`] for `right` that holds these forces, right at their nodes alone; false where there is none.
+    pub(super) fn solve_at_into(
+        &mut self,
+        forces: &[NodalForce],
+        right: &[DVec3],
+        solution: &mut [DVec3],
+    ) -> bool {
+        let Solver::Direct(direct) = &mut self.solver else { return false };
+        direct.solve_at_into(forces, right, solution);
+        self.late.add_answers(right, solution);
+        true
     }
 
     fn with_late(

@@ -63,8 +63,9 @@ use self::relaxation::Relaxation;
 use self::successor::Successor;
 use super::bounded_vec::BoundedVec;
 use super::{
-    Attachment, Constraints, Correction, DeformableModel, DynamicBody, LevelOfDetail, LocalModel, LocalWork,
-    ModelReport, ModelState, ModelUndo, NodalForce, Rayleigh, RestStress, StepAnswer, TopologyRefusal,
+    Answered, Attachment, Constraints, Correction, DeformableModel, DynamicBody, LevelOfDetail, LocalModel,
+    LocalWork, ModelReport, ModelState, ModelUndo, NodalForce, Rayleigh, RestStress, StepAnswer,
+    TopologyRefusal,
 };
 use crate::material::{PronyHistory, StableNeoHooke};
 use crate::solve::SolveError;
@@ -679,8 +680,8 @@ impl DeformableModel for ImplicitEuler {
         StepAnswer::Coupled { version: self.factor_version }
     }
 
-    fn answer_into(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3]) {
-        self.answer(forces, moves_m);
+    fn answer_into(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3], at: Answered) {
+        self.answer(forces, moves_m, at);
     }
 
     fn correct_step(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {

@@ -5,7 +5,7 @@ use super::lagged::{Lagged, Slice};
 use super::lagged_state::{LaggedState, NodeTerms};
 use super::params::Preconditioner;
 use super::successor::Successor;
-use super::{FactorAge, ImplicitEuler};
+use super::{FactorAge, ImplicitEuler, VolumeResistance};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::TetId;
 
@@ -154,6 +154,17 @@ enum Start {
     Unusable,
 }
 
+/// Where the search for a step's end may begin.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Guess {
+    /// The first that was usable.
+    First,
+    /// Motion goes on.
+    Inertial,
+    /// Nothing moves.
+    Still,
+}
+
 enum Direction {
     Found,
     /// The exact tangent has negative curvature here, or the factor is too old.
@@ -162,6 +173,8 @@ enum Direction {
 
 pub(super) const MOST_NEWTON_ITERATIONS: u32 = 40;
 const MOST_CG_ITERATIONS: u32 = 60;
+/// A first guess whose residual is more than this share of all forces is compared with others: a choice.
+const POOR_GUESS: f64 = 0.03;
 const MOST_HALVINGS: u32 = 14;
 /// Conjugate gradients stop at this share of the residual they start from ...
 const FORCING: f64 = 0.02;
@@ -211,6 +224,7 @@ impl ImplicitEuler {
             self.refresh_if_due(factors);
         }
         let energy_j = self.first_guess(h_s);
+        let energy_j = self.better_guess(factors, energy_j);
         let end = self.minimise(factors, energy_j);
         let limit = self.keep_to_energy(factors, end);
         if let Some(relaxation) = &mut self.relaxation {
@@ -295,6 +309,44 @@ impl ImplicitEuler {
         self.elements
             .evaluate(self.workers.as_ref(), &self.displacement_m, &mut self.scratch.force_n)
             .energy_j
+    }
+
+    /// Where the first guess is far from balance, as that of a bit of tissue which a cut left hanging by little and which hardly anything
+    /// damps, takes the one of least potential: it, inertial motion, or no motion. Sets forces and returns the elastic energy.
+    fn better_guess(&mut self, factors: StepFactors, energy_j: f64) -> f64 {
+        // Averaged over nodes, volume and strain have no exact tangent: steps that go on as the last did come to balance over several.
+        if self.volume != VolumeResistance::Element {
+            return energy_j;
+        }
+        let first = self.balance(factors, energy_j);
+        if !first.potential_j.is_finite() || first.residual_n <= POOR_GUESS * first.scale_n {
+            return energy_j;
+        }
+        self.scratch.end_m.copy_from_slice(&self.displacement_m);
+        // Another one has to be better by more than rounding.
+        let (mut best, mut least_j) = (Guess::First, first.potential_j - ROUNDING * first.size_j);
+        let mut energy_j = energy_j;
+        for guess in [Guess::Inertial, Guess::Still] {
+            let potential_j;
+            (potential_j, energy_j) = self.try_guess(guess, factors);
+            if potential_j < least_j {
+                (best, least_j) = (guess, potential_j);
+            }
+        }
+        if best == Guess::Still { energy_j } else { self.try_guess(best, factors).1 }
+    }
+
+    /// Sets displacements and forces to those of a guess; answers its incremental potential and its elastic energy [J].
+    fn try_guess(&mut self, guess: Guess, factors: StepFactors) -> (f64, f64) {
+        self.displacement_m.copy_from_slice(match guess {
+            Guess::First => &self.scratch.end_m,
+            Guess::Inertial => &self.scratch.ballistic_m,
+            Guess::Still => &self.scratch.start_m,
+        });
+        let found =
+            self.elements.evaluate(self.workers.as_ref(), &self.displacement_m, &mut self.scratch.force_n);
+        let potential_j = self.balance(factors, found.energy_j).potential_j;
+        (if found.is_usable() { potential_j } else { f64::INFINITY }, found.energy_j)
     }
 
     /// Newton's iteration from the present displacements, whose forces are known.

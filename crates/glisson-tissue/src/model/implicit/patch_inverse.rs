@@ -140,6 +140,22 @@ impl PatchInverse {
         }
     }
 
+    /// Counts the path of a node to the root in, supernode by supernode.
+    pub(super) fn add_path(
+        &self,
+        node: NodeId,
+        (system, factor): (&FreeSystem, &Factorization),
+        counts: &mut [bool],
+    ) {
+        for axis in 0..3 {
+            let Some(row) = system.row_of(node, axis) else { continue };
+            let mut s = self.paths.supernode[factor.place_of_row(row)];
+            while s != NONE && !std::mem::replace(&mut counts[s as usize], true) {
+                s = self.paths.parent[s as usize];
+            }
+        }
+    }
+
     /// Makes sure of the columns of all nodes of a patch, which has no more than [`LocalModel::MOST_NODES`].
     pub(super) fn hold(&mut self, nodes: &[NodeId], with: &Factored<'_>) {
         self.n_patches += 1;

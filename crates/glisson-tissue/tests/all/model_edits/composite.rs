@@ -9,8 +9,8 @@ use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use glisson_tissue::model::composite::{Composite, CompositePart};
 use glisson_tissue::model::rigid::{RigidBody, RigidMotion};
 use glisson_tissue::model::{
-    Constraints, Correction, DeformableModel, ImposedDisplacement, LocalModel, LocalWork, ModelUndo,
-    NodalForce, follow_edit,
+    Answered, Constraints, Correction, DeformableModel, ImposedDisplacement, LocalModel, LocalWork,
+    ModelUndo, NodalForce, follow_edit,
 };
 use glisson_tissue::workers::Sequential;
 
@@ -215,9 +215,9 @@ fn answers_and_local_models_are_those_of_the_bodies() {
     let own = [NodalForce { node: NodeId(30), force_n: DVec3::new(0.1, -0.2, 0.05) }];
     let joint = twice.alone.each_ref().map(|alone| NodalForce { node: at(alone, 30), ..own[0] });
     let mut moves_m = vec![DVec3::ONE; twice.mesh.mesh().positions_m.len()];
-    twice.model.answer_into(&joint, &mut moves_m);
+    twice.model.answer_into(&joint, &mut moves_m, Answered::Everywhere);
     let mut expected_m = vec![DVec3::ZERO; twice.alone[1].nodes.len()];
-    twice.alone[1].model.answer_into(&own, &mut expected_m);
+    twice.alone[1].model.answer_into(&own, &mut expected_m, Answered::Everywhere);
     for (n, expected_m) in expected_m.iter().enumerate() {
         assert_eq!(moves_m[at(&twice.alone[1], n).index()], *expected_m);
     }

@@ -28,7 +28,9 @@ use super::constraint::{Contact, ContactKey, Response, SweepReport, Sweeps, solv
 use super::shapes::RigidPose;
 use crate::math::DVec3;
 use crate::mesh::NodeId;
-use crate::model::{Constraints, Correction, DeformableModel, LocalModel, LocalWork, NodalForce, StepAnswer};
+use crate::model::{
+    Answered, Constraints, Correction, DeformableModel, LocalModel, LocalWork, NodalForce, StepAnswer,
+};
 
 /// How the last step went.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -355,7 +357,7 @@ impl CollidingBodies {
                 let mut force_n = DVec3::ZERO;
                 force_n[axis] = 1.0;
                 let force = NodalForce { node: surfaces.nodes[by as usize], force_n };
-                body.model.answer_into(&[force], &mut body.answer_m);
+                body.model.answer_into(&[force], &mut body.answer_m, Answered::Everywhere);
                 for (of, block) in near_vertices.iter().zip(&mut columns[first..]) {
                     *block.col_mut(axis) = body.answer_m[surfaces.nodes[*of as usize].index()];
                 }

@@ -16,7 +16,7 @@
 use super::NodeContact;
 use crate::math::DVec3;
 use crate::mesh::NodeId;
-use crate::model::{DeformableModel, NodalForce};
+use crate::model::{Answered, DeformableModel, NodalForce};
 
 /// A change of all forces by less than this share ends the search: a choice.
 const SMALL_CHANGE: f64 = 1e-3;
@@ -33,6 +33,7 @@ pub(super) struct CoupledForces {
     best_n: Vec<DVec3>,
     best_moves_m: Vec<DVec3>,
     of_vertex_n: Vec<DVec3>,
+    is_of_contact: Vec<bool>,
     of_nodes_m: Vec<DVec3>,
     list: Vec<NodalForce>,
 }
@@ -50,6 +51,7 @@ impl CoupledForces {
             best_n: none(),
             best_moves_m: none(),
             of_vertex_n: none(),
+            is_of_contact: vec![false; n_vertices],
             of_nodes_m: vec![DVec3::ZERO; n_nodes],
             list: Vec::with_capacity(n_vertices),
         }
@@ -72,22 +74,30 @@ impl CoupledForces {
 
     /// The forces on the nodes, ascending.
     pub(super) fn nodal_forces(&mut self, contacts: &[NodeContact], nodes: &[NodeId]) -> &[NodalForce] {
+        self.list_forces(contacts, nodes, false);
+        &self.list
+    }
+
+    /// Those that are not zero, and to ask about them those of all contacts.
+    fn list_forces(&mut self, contacts: &[NodeContact], nodes: &[NodeId], is_question: bool) {
         self.of_vertex_n.fill(DVec3::ZERO);
+        self.is_of_contact.fill(false);
         for (contact, force_n) in contacts.iter().zip(&self.forces_n) {
             for (v, w) in contact.sides() {
                 self.of_vertex_n[v] += *force_n * w;
+                self.is_of_contact[v] = is_question;
             }
         }
         self.list.clear();
-        let forces = self.of_vertex_n.iter().zip(nodes).filter(|(force_n, _)| **force_n != DVec3::ZERO);
-        self.list.extend(forces.map(|(&force_n, &node)| NodalForce { node, force_n }));
-        &self.list
+        let forces = self.of_vertex_n.iter().zip(&self.is_of_contact).zip(nodes);
+        let listed = forces.filter(|((force_n, is_asked), _)| **is_asked || **force_n != DVec3::ZERO);
+        self.list.extend(listed.map(|((&force_n, _), &node)| NodalForce { node, force_n }));
     }
 
     /// Writes the relative displacements for the present forces.
     fn answer(&mut self, model: &mut dyn DeformableModel, contacts: &[NodeContact], nodes: &[NodeId]) {
-        self.nodal_forces(contacts, nodes);
-        model.answer_into(&self.list, &mut self.of_nodes_m);
+        self.list_forces(contacts, nodes, true);
+        model.answer_into(&self.list, &mut self.of_nodes_m, Answered::AtForces);
         for (contact, move_m) in contacts.iter().zip(&mut self.moves_m) {
             *move_m = contact.sides().map(|(v, w)| self.of_nodes_m[nodes[v].index()] * w).sum();
         }

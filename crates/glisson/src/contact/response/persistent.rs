@@ -26,7 +26,7 @@ use crate::contact::broad_phase::BroadPhaseKind;
 use crate::math::DVec3;
 use crate::mesh::topology::{Through, Topology, surface_of};
 use crate::mesh::{NodeId, TetMesh};
-use crate::model::{Correction, DeformableModel, NodalForce};
+use crate::model::{Answered, Correction, DeformableModel, NodalForce};
 
 /// How bodies touch each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -109,6 +109,8 @@ pub struct BodyContact {
     is_parted: Vec<bool>,
     acted: Vec<NodalForce>,
     rho_n_per_m: f64,
+    /// Whether a row of this step has the vertex.
+    is_of_row: Vec<bool>,
     // Rows: contacts, then bonds.
     openings_m: Vec<DVec3>,
     forces_n: Vec<DVec3>,
@@ -149,6 +151,7 @@ impl Clone for BodyContact {
             is_parted: self.is_parted.clone(),
             acted,
             rho_n_per_m: self.rho_n_per_m,
+            is_of_row: self.is_of_row.clone(),
             openings_m: self.openings_m.clone(),
             forces_n: self.forces_n.clone(),
             moves_m: self.moves_m.clone(),
@@ -226,6 +229,7 @@ impl BodyContact {
             is_parted: vec![false; bonds.len()],
             acted: Vec::with_capacity(n),
             rho_n_per_m: 0.0,
+            is_of_row: vec![false; n],
             openings_m: none(n_rows),
             forces_n: none(n_rows),
             moves_m: none(n_rows),
@@ -378,7 +382,7 @@ impl BodyContact {
         }
         self.open(dt_s);
         self.solve(model, dt_s);
-        self.collect(true);
+        self.collect(true, false);
         if !self.list.is_empty() {
             model.correct_step(&self.list, dt_s, Correction::Motion);
         }
@@ -428,6 +432,9 @@ impl BodyContact {
             self.openings_m[first + b] = row.opening_m;
             self.forces_n[first + b] = row.project(self.of_bond_n[b]);
         }
+        self.is_of_row.fill(false);
+        let rows = self.contacts.iter().chain(self.bond_rows.iter().map(|row| &row.sides));
+        rows.flat_map(NodeContact::sides).for_each(|(v, _)| self.is_of_row[v] = true);
     }
 
     /// The sides of a row.
@@ -458,8 +465,9 @@ impl BodyContact {
         self.openings_m[row] + self.moves_m[row] + of_spring_m
     }
 
-    /// The change of the forces on nodes against those that acted, or the forces themselves, in the list.
-    fn collect(&mut self, is_change: bool) {
+    /// The change of the forces on nodes against those that acted, or the forces themselves, in the list: those that are not zero, and to
+    /// ask about them those of all rows.
+    fn collect(&mut self, is_change: bool, is_question: bool) {
         self.sum_n.fill(DVec3::ZERO);
         for row in 0..self.n_rows() {
             let force_n = self.forces_n[row];
@@ -476,7 +484,7 @@ impl BodyContact {
         for (v, &node) in self.nodes.iter().enumerate() {
             let acted_n = if is_change { self.acted_n[v] } else { DVec3::ZERO };
             let force_n = self.sum_n[v] - acted_n;
-            if force_n != DVec3::ZERO {
+            if force_n != DVec3::ZERO || is_question && self.is_of_row[v] {
                 self.list.push(NodalForce { node, force_n });
             }
         }
@@ -484,12 +492,12 @@ impl BodyContact {
 
     /// Relative displacements for the present forces.
     fn answer(&mut self, model: &mut dyn DeformableModel) {
-        self.collect(true);
-        if self.list.is_empty() {
+        self.collect(true, true);
+        if self.list.iter().all(|force| force.force_n == DVec3::ZERO) {
             self.moves_m.fill(DVec3::ZERO);
             return;
         }
-        model.answer_into(&self.list, &mut self.of_nodes_m);
+        model.answer_into(&self.list, &mut self.of_nodes_m, Answered::AtForces);
         for row in 0..self.n_rows() {
             let moved_m = |(v, w): (usize, f64)| self.of_nodes_m[self.nodes[v].index()] * w;
             self.moves_m[row] = self.sides(row).map(moved_m).sum();
@@ -588,8 +596,8 @@ impl BodyContact {
             self.forces_n[row] = self.project(row, -self.openings_m[row]);
             length_n2 += self.forces_n[row].length_squared();
         }
-        self.collect(false);
-        model.answer_into(&self.list, &mut self.of_nodes_m);
+        self.collect(false, true);
+        model.answer_into(&self.list, &mut self.of_nodes_m, Answered::AtForces);
         let mut work = 0.0;
         for row in 0..n_rows {
             let moved_m = |(v, w): (usize, f64)| self.of_nodes_m[self.nodes[v].index()] * w;
@@ -618,7 +626,7 @@ impl BodyContact {
                 self.forces_n[first + bond] = DVec3::ZERO;
             }
         }
-        self.collect(false);
+        self.collect(false, false);
         std::mem::swap(&mut self.acted, &mut self.list);
     }
 }

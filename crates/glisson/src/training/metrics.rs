@@ -116,6 +116,7 @@ const OROPESA: &str = "Oropesa et al. 2013, doi 10.1177/1553350612459808";
 const CHMARRA: &str = "Chmarra et al. 2010, doi 10.1007/s00464-009-0721-y";
 const BALASUBRAMANIAN: &str = "Balasubramanian et al. 2015, doi 10.1186/s12984-015-0090-9";
 const GRIP: &str = "porcine liver gripped with 1.75 N on average: doi 10.1080/13645706.2020.1755313";
+const TEARING: &str = "a liver's capsule tore at a strain of 0.47 on average: Brunon et al. 2010, doi 10.1016/j.jbiomech.2010.03.038";
 const OURS: &str = "ours";
 
 /// All metrics, in the order of reports.
@@ -265,6 +266,27 @@ pub const METRICS: &[Metric] = &[
             let above = hand.tool.peak_force_n.iter().filter(|peak_n| **peak_n > m.threshold_n);
             Some(above.count() as f64 * m.trace.period_s)
         }),
+    },
+    Metric {
+        name: "surface_strain",
+        title: "Greatest strain of the surface",
+        unit: "",
+        better: Better::Less,
+        formula: "greatest stretch less one of the organs' surface in its plane, each vertex with the mean of its triangles; cuts and \
+                  what touches them left out",
+        source: TEARING,
+        validity: Validity::Defined,
+        value: Formula::Session(|m| m.trace.surface_strain.iter().copied().reduce(f64::max)),
+    },
+    Metric {
+        name: "overstrained_area",
+        title: "Surface strained beyond tearing",
+        unit: "m2",
+        better: Better::Less,
+        formula: "greatest area at rest whose strain exceeds 0.47 at one time",
+        source: TEARING,
+        validity: Validity::Defined,
+        value: Formula::Session(|m| m.trace.overstrained_m2.iter().copied().reduce(f64::max)),
     },
     Metric {
         name: "slips",

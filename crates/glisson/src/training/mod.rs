@@ -7,6 +7,7 @@
 //!
 //! Nothing here changes a world, and all of it follows from the steps alone: a replay gives the same numbers.
 
+pub mod surface_strain;
 pub mod trace;
 pub mod motion;
 pub mod smoothness;

@@ -1,5 +1,6 @@
 //! What is known of a session for its assessment: instruments, forces, cuts and blood at regular times.
 
+use super::surface_strain::{StrainReading, SurfaceStrain};
 use crate::math::DVec3;
 use crate::record::snapshot::{ContactKind, ContactPoints};
 use crate::tool::ToolInput;
@@ -25,6 +26,10 @@ pub struct Trace {
     pub removed_m3: Vec<f64>,
     /// Area that blades opened until each sample [m2].
     pub cut_area_m2: Vec<f64>,
+    /// Greatest strain of the organs' surface at each sample ...
+    pub surface_strain: Vec<f64>,
+    /// ... and its area that is strained so far that a liver's capsule tears [m2] ([`super::surface_strain`]).
+    pub overstrained_m2: Vec<f64>,
     /// Pairs of instruments that press on each other.
     pub n_clashing: Vec<u32>,
     /// Whether the mesh changed since the sample before: a cut, a burn, or an edit that was undone.
@@ -101,6 +106,8 @@ pub struct TraceRecorder {
     first_step: u64,
     since: Vec<Since>,
     contacts: ContactPoints,
+    strain: SurfaceStrain,
+    last_strain: StrainReading,
     topology_version: u32,
     /// What there was before the beginning.
     before: Totals,
@@ -141,6 +148,8 @@ impl TraceRecorder {
             steps_per_sample,
             first_step: world.steps_made(),
             contacts: ContactPoints::default(),
+            strain: SurfaceStrain::of(world),
+            last_strain: StrainReading::default(),
             topology_version: world.organ().topology_version(),
             before: Totals::of(world),
         };
@@ -197,6 +206,16 @@ impl TraceRecorder {
             _ => (world.removed_volume_m3() - before.removed_m3).max(0.0),
         };
         trace.is_edited.push(is_edited);
+        // Nodes that an edit brought find their places in the next step.
+        let strain = if is_edited {
+            self.strain = SurfaceStrain::of(world);
+            self.last_strain
+        } else {
+            self.strain.read(|node| world.surface_position_m(node).unwrap_or(DVec3::NAN))
+        };
+        self.last_strain = strain;
+        trace.surface_strain.push(strain.greatest);
+        trace.overstrained_m2.push(strain.beyond_m2);
         trace.blood_lost_m3.push(lost_m3 - before.lost_m3);
         trace.bleeding_m3_per_s.push(rate_m3_per_s);
         trace.removed_m3.push(removed_m3);

@@ -38,6 +38,8 @@ fn quiet(n: usize) -> Trace {
         bleeding_m3_per_s: vec![0.0; n],
         removed_m3: vec![0.0; n],
         cut_area_m2: vec![0.0; n],
+        surface_strain: vec![0.0; n],
+        overstrained_m2: vec![0.0; n],
         n_clashing: vec![0; n],
         is_edited: vec![false; n],
     }
@@ -73,6 +75,8 @@ fn worked() -> Trace {
         trace.bleeding_m3_per_s[at] = if at >= 450 { 1e-6 } else { 0.0 };
         trace.removed_m3[at] = if at >= 480 { 2e-6 } else { 0.0 };
         trace.cut_area_m2[at] = if at >= 480 { 3e-4 } else { 0.0 };
+        (trace.surface_strain[at], trace.overstrained_m2[at]) =
+            if at == 405 { (0.6, 2e-4) } else { (0.1, 0.0) };
         trace.n_clashing[at] = u32::from((420..440).contains(&at));
     }
     trace
@@ -109,6 +113,8 @@ fn metrics_of_a_constructed_session_are_those_computed_by_hand() {
         ("slips", right, 1.0),
         ("grasps", right, 1.0),
         ("clash_time", None, 0.2),
+        ("surface_strain", None, 0.6),
+        ("overstrained_area", None, 2e-4),
         ("blood_lost", None, 5e-7),
         ("volume_removed", None, 2e-6),
         ("cut_area", None, 3e-4),

@@ -74,6 +74,9 @@ pub enum BuildError {
         /// Largest corner of the mesh [mm].
         max_mm: DVec3,
     },
+    /// The branches of a tube.
+    #[error("a tube with branches: {0}")]
+    Branches(String),
     /// A part of the scene that no node of the mesh belongs to.
     #[error(
         "no node of {mesh} lies in the region of {what}: it would do nothing (the mesh spans {min_mm:.1} to {max_mm:.1} mm)"

@@ -1,7 +1,7 @@
 //! The meshes of bodies: read from files, or made of simple solids and of organs of the synthetic patient.
 
 use super::build_error::BuildError;
-use super::shape::{BodyShape, PhantomOrgan, ShapeSource};
+use super::shape::{BodyShape, PhantomOrgan, ShapeSource, TubePath};
 use super::solids::{ball, cylinder, tube};
 use crate::image::LabelMap;
 use crate::image::labels::Parts;
@@ -17,6 +17,7 @@ use crate::mesh::organs::{Grading, OrganMeshParams, OrganSize, mesh_organs};
 use crate::surface::TriMesh;
 use crate::surface::extract::{SurfaceParams, surface_of_mask};
 use crate::surface::files::{import_closed_surface, surface_extensions};
+use crate::surface::repair::{RepairParams, repair};
 use std::path::Path;
 
 /// A solid without an edge length of its own has so many edges along its longest side: a choice.
@@ -91,8 +92,8 @@ impl<'a> ShapeBuilder<'a> {
                 let longest_m = from_m.distance(to_m).max(2.0 * radius_m);
                 meshed(&cylinder(from_m, to_m, radius_m), edge_m(longest_m))?
             }
-            BodyShape::Tube { path_m, radii_m } => {
-                let surface = tube(path_m, radii_m);
+            BodyShape::Tube { stem, branches } => {
+                let surface = branched(stem, branches)?;
                 meshed(&surface, edge_m(longest(&surface.positions_m)))?
             }
         };
@@ -151,6 +152,29 @@ fn with_parts_alone(labels: &LabelMap, of_organ: &[u16], organ: &PhantomOrgan) -
     map
 }
 
+/// The surface of all tubes together.
+fn branched(stem: &TubePath, branches: &[TubePath]) -> Result<TriMesh, BuildError> {
+    let of = |path: &TubePath| tube(&path.path_m, &path.radii_m);
+    let mut all = of(stem);
+    for branch in branches.iter().map(of) {
+        let first = all.positions_m.len() as u32;
+        all.positions_m.extend(branch.positions_m);
+        all.triangles.extend(branch.triangles.iter().map(|corners| corners.map(|corner| first + corner)));
+    }
+    if branches.is_empty() {
+        return Ok(all);
+    }
+    let radii_m = std::iter::once(stem).chain(branches).flat_map(|path| path.radii_m.iter().copied());
+    let params = RepairParams { smallest_feature_m: radii_m.reduce(f64::min), ..RepairParams::default() };
+    // Pieces that cross become their union.
+    let (surface, report) = repair(&all, &params).map_err(|error| BuildError::Branches(error.to_string()))?;
+    if report.n_pieces != 1 {
+        let found = format!("{} parts that do not touch", report.n_pieces);
+        return Err(BuildError::Branches(format!("{found}; let each branch begin or end in the tube")));
+    }
+    Ok(surface)
+}
+
 fn longest(positions_m: &[DVec3]) -> f64 {
     let bounds = Aabb::of_points(positions_m);
     (bounds.max_m - bounds.min_m).max_element()
@@ -191,6 +215,32 @@ mod tests {
         assert!(highest.abs() < 1e-12, "the upper face goes through the point: {highest}");
         let middle: DVec3 = slab.positions_m.iter().sum::<DVec3>() / slab.positions_m.len() as f64;
         assert!((middle - point_m + normal * 0.01).length() < 1e-12);
+    }
+
+    #[test]
+    fn a_tube_with_a_branch_is_one_body_of_both_volumes_and_loose_branches_are_refused() {
+        let tube = |from_m: DVec3, to_m: DVec3, radius_m: f64| TubePath {
+            path_m: vec![from_m, to_m],
+            radii_m: vec![radius_m; 2],
+        };
+        let stem = tube(DVec3::ZERO, DVec3::Z * 0.1, 0.012);
+        let branch = tube(DVec3::Z * 0.05, DVec3::new(0.06, 0.0, 0.05), 0.003);
+        let source = |branch| ShapeSource {
+            shape: BodyShape::Tube { stem: stem.clone(), branches: vec![branch] },
+            edge_m: Some(0.005),
+        };
+        let mut shapes = ShapeBuilder::new(Path::new(""));
+        let (mesh, _) = shapes.mesh(&source(branch), FileKind::Tetrahedra).unwrap();
+        let pi = std::f64::consts::PI;
+        let of_stem_m3 = pi * 0.012 * 0.012 * 0.1 + 4.0 / 3.0 * pi * 0.012_f64.powi(3);
+        // What sticks out of the stem, with its rounded end.
+        let of_branch_m3 = pi * 0.003 * 0.003 * 0.048 + 2.0 / 3.0 * pi * 0.003_f64.powi(3);
+        let volume_m3 = mesh.volume_m3();
+        assert!((volume_m3 / (of_stem_m3 + of_branch_m3) - 1.0).abs() < 0.02, "{volume_m3}");
+        assert!(mesh.positions_m.iter().any(|p| p.x > 0.06));
+        let loose = tube(DVec3::X * 0.05, DVec3::new(0.05, 0.0, 0.1), 0.003);
+        let error = shapes.mesh(&source(loose), FileKind::Tetrahedra).unwrap_err().to_string();
+        assert!(error.contains("2 parts that do not touch"), "{error}");
     }
 
     fn phantom(n_tetrahedra: usize, parts: Vec<Tissue>) -> ShapeSource {

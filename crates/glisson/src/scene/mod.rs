@@ -42,7 +42,7 @@ pub use material::{ElasticitySource, MaterialSource, PartPlace, TissuePartSource
 pub use organ::{OrganSource, OrganSurroundings, OrganZone};
 pub use reader::{SceneError, SceneProblem};
 pub use rigid::RigidSource;
-pub use shape::{BodyShape, PhantomOrgan, ShapeSource};
+pub use shape::{BodyShape, PhantomOrgan, ShapeSource, TubePath};
 pub use spec::Scene;
 pub(crate) use task::share_of_jerk;
 pub use task::{

@@ -41,12 +41,12 @@ pub enum BodyShape {
         /// Radius [m].
         radius_m: f64,
     },
-    /// A tube around a smooth line through points, with rounded ends.
+    /// A tube with what branches off it.
     Tube {
-        /// The points [m].
-        path_m: Vec<DVec3>,
-        /// The radius at each [m].
-        radii_m: Vec<f64>,
+        /// The tube.
+        stem: TubePath,
+        /// Tubes that begin or end in it, or in each other.
+        branches: Vec<TubePath>,
     },
     /// A square plate.
     Slab {
@@ -61,6 +61,15 @@ pub enum BodyShape {
     },
     /// An organ of the synthetic patient ([`crate::image::phantom`]).
     Phantom(PhantomOrgan),
+}
+
+/// A tube around a smooth line through points, with rounded ends.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TubePath {
+    /// The points [m].
+    pub path_m: Vec<DVec3>,
+    /// The radius at each [m].
+    pub radii_m: Vec<f64>,
 }
 
 /// An organ of a synthetic patient.
@@ -96,8 +105,9 @@ const ALLOWED: &str = "exactly one of mesh, box, ball, cylinder, tube, slab and 
 
 /// What lies in the liver, and can have a label of its own.
 const INSIDE_LIVER: [Tissue; 3] = [Tissue::LiverTumour, Tissue::PortalVein, Tissue::HepaticVein];
-/// Points of a tube at most: a choice.
+/// Points of a tube at most, and branches: choices.
 const MOST_OF_TUBE: usize = 100;
+const MOST_BRANCHES: usize = 20;
 /// Tetrahedra of an organ of the phantom unless the scene says how many.
 const DEFAULT_TETRAHEDRA: usize = 6300;
 /// The fewest and most that a scene may ask for.
@@ -207,6 +217,20 @@ fn read_cylinder(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {
 }
 
 fn read_tube(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {
+    let stem = read_tube_path(table)?;
+    let mut branches = Vec::new();
+    for mut branch in table.sections("branches")? {
+        branches.push(read_tube_path(&mut branch)?);
+        branch.finish()?;
+    }
+    if branches.len() > MOST_BRANCHES {
+        let (found, allowed) = (branches.len().to_string(), format!("at most {MOST_BRANCHES}"));
+        return Err(table.wrong_table("branches", found, allowed));
+    }
+    Ok(BodyShape::Tube { stem, branches })
+}
+
+fn read_tube_path(table: &mut Section<'_>) -> Result<TubePath, SceneError> {
     const PATH: &str = "path = [[\"0 mm\", \"0 mm\", \"0 mm\"], [\"0 mm\", \"0 mm\", \"90 mm\"]]";
     const RADII: &str = "radii = [[\"9 mm\"], [\"5 mm\"]], one for each point of the path";
     let path_m = table.points("path", PATH)?.ok_or_else(|| table.missing("path", PATH))?;
@@ -222,7 +246,7 @@ fn read_tube(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {
     if radii_m.iter().any(|radius_m| *radius_m <= 0.0) {
         return Err(table.wrong_table("radii", "a radius of zero or less".into(), "more than zero".into()));
     }
-    Ok(BodyShape::Tube { path_m, radii_m })
+    Ok(TubePath { path_m, radii_m })
 }
 
 fn read_slab(table: &mut Section<'_>) -> Result<BodyShape, SceneError> {

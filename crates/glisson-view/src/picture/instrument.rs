@@ -62,6 +62,8 @@ pub enum WorkingEnd {
     },
     /// An endoscope's window.
     Lens,
+    /// An open tube with holes beside its mouth.
+    Tube,
 }
 
 /// An instrument with a straight shaft.
@@ -223,6 +225,24 @@ fn lens(tip_m: f64) -> End {
     End { parts, shaft_from_m: 4.0 * tip_m, shaft: Look::Shaft }
 }
 
+fn tube(tip_m: f64) -> End {
+    let rim =
+        [[0.62, 0.3], [0.66, -0.75], [0.85, -0.95], [1.0, -0.7], [1.0, 6.0]].map(|p| p.map(|x| x * tip_m));
+    let bore = turned(&[[-0.3 * tip_m, 0.0, 0.0, -1.0], [-0.3 * tip_m, 0.64 * tip_m, 0.0, -1.0]]);
+    let mut parts = vec![(POLISHED, turned(&lathed(&rim))), (GLASS, bore)];
+    // Four holes in each of three rings, each ring's between those of the one before.
+    for hole in 0..12 {
+        let (ring, place) = (hole / 4, f64::from(2 * (hole % 4) + hole / 4 % 2));
+        let (sin, cos) = (0.25 * std::f64::consts::PI * place).sin_cos();
+        let out = DVec3::new(cos, sin, 0.0);
+        let middle = out * (0.965 * tip_m) + DVec3::Z * ((1.0 + 1.6 * f64::from(ring)) * tip_m);
+        let wide_m = 0.24 * tip_m;
+        let cap = [[0.07 * tip_m, 0.0, 0.0, 1.0], [0.07 * tip_m, wide_m, 0.0, 1.0]];
+        parts.push((GLASS, Piece::turned(middle, out, &cap)));
+    }
+    End { parts, shaft_from_m: 6.0 * tip_m, shaft: Look::Shaft }
+}
+
 impl Instrument {
     /// All instruments of a simulation as they are now.
     pub fn all(tools: &[Tool], now: &[ToolSnapshot]) -> Vec<Self> {
@@ -253,6 +273,8 @@ impl Instrument {
             WorkingEnd::Blade { length_m: blade.length_m }
         } else if kind.burning().is_some() {
             WorkingEnd::Hook
+        } else if kind.rinses() {
+            WorkingEnd::Tube
         } else {
             WorkingEnd::Ball
         };
@@ -280,6 +302,7 @@ impl Instrument {
                 jaws(tip_m, shaft_m, [length_m, width_m, opening_rad], shape)
             }
             WorkingEnd::Lens => lens(tip_m),
+            WorkingEnd::Tube => tube(tip_m),
         }
     }
 
@@ -342,6 +365,7 @@ mod tests {
             (ToolKind::scalpel(blade), WorkingEnd::Blade { length_m: 0.03 }),
             (ToolKind::hook(burning), WorkingEnd::Hook),
             (ToolKind::endoscope(optics), WorkingEnd::Lens),
+            (ToolKind::SUCTION, WorkingEnd::Tube),
         ] {
             let instrument = instrument(kind);
             assert_eq!(instrument.end, end);

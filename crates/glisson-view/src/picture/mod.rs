@@ -14,6 +14,7 @@
 //! the only transcendental function is a table of the sRGB curve rounded to bytes.
 
 mod camera;
+mod clip;
 mod geometry;
 mod instrument;
 mod look;

@@ -1,5 +1,6 @@
 //! What a simulation shows, as surfaces with looks.
 
+use super::clip::clip;
 use super::geometry::ShadedSurface;
 use super::look::Look;
 use glisson::record::snapshot::{BleedingEnd, DisplayTopology, Snapshot};
@@ -13,6 +14,9 @@ const DROP_S: f64 = 0.3;
 const DROPS_M: [f64; 2] = [0.8e-3, 4e-3];
 /// A needle is so much thicker than its thread, as on the page.
 const NEEDLE: f64 = 1.6;
+/// Loose tissue between bodies, and the radius of its strands [m], as on the page.
+const LOOSE_TISSUE: Look = Look::Plain { colour: [230, 201, 160] };
+const STRAND_RADIUS_M: f64 = 0.8e-3;
 const THREAD: Look = Look::Plastic { colour: [58, 52, 120] };
 
 /// The look of each body: its own colour, or that of its name; of one organ, of its `material`.
@@ -30,7 +34,7 @@ pub fn looks_of(spec: &WorldSpec, material: &str) -> Vec<Look> {
         .collect()
 }
 
-/// Bodies with their cuts, threads and drops of blood; `looks` of the bodies.
+/// Bodies with their cuts, strands between them, clips, threads and drops of blood; `looks` of the bodies.
 pub fn surfaces_of(topology: &DisplayTopology, snapshot: &Snapshot, looks: &[Look]) -> Vec<ShadedSurface> {
     let mut parts: BTreeMap<(u8, bool), Vec<[u32; 3]>> = BTreeMap::new();
     for (triangle, &is_cut) in topology.triangles.iter().zip(&topology.is_cut) {
@@ -50,6 +54,10 @@ pub fn surfaces_of(topology: &DisplayTopology, snapshot: &Snapshot, looks: &[Loo
             thread.clips_m.iter().map(|&p| ShadedSurface::ball(p, 3.0 * thread.radius_m, Look::Metal));
         surfaces.extend(clips);
     }
+    let strands = snapshot.strands_m.iter();
+    surfaces.extend(strands.map(|ends_m| ShadedSurface::wire(ends_m, STRAND_RADIUS_M, LOOSE_TISSUE)));
+    let clips = snapshot.bleeding.clips.iter();
+    surfaces.extend(clips.map(|set| clip(set, &snapshot.positions_m, &topology.triangles)));
     let drop = |end: &BleedingEnd| {
         let radius_m = (0.75 / PI * end.rate_m3_per_s * DROP_S).cbrt().clamp(DROPS_M[0], DROPS_M[1]);
         ShadedSurface::ball(end.position_m, radius_m, Look::Blood)

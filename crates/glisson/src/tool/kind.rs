@@ -133,6 +133,9 @@ impl ToolKind {
     pub const PROBE: Self =
         Self { kind: PROBE, jaws: None, blade: None, burning: None, snip: None, optics: None };
 
+    /// A tube that sucks and rinses.
+    pub const SUCTION: Self = Self { kind: SUCTION, ..Self::PROBE };
+
     /// An instrument of a kind, with those of the parts that the kind has.
     pub fn of(kind: &InstrumentKind, parts: &ToolParts) -> Self {
         Self {

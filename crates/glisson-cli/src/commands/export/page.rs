@@ -187,7 +187,7 @@ struct Sampler {
 impl Sampler {
     fn see(&mut self, simulation: &Simulation, is_last: bool) -> anyhow::Result<()> {
         let world = simulation.world();
-        let time_s = world.steps_made() as f64 * world.spec().time_step_s;
+        let time_s = world.time_s();
         // Of a step that ends with a period, rounding must not make one within it.
         let period = (time_s * self.settings.rate_hz + 1e-6).floor() as u64;
         if self.greeted.is_some() && period < self.next && !is_last {

@@ -139,6 +139,7 @@ export class FakeSimulator {
           rate_steps_per_s: this.paused ? 0 : 1 / TIME_STEP_S,
           realTimeFactor: this.paused ? 0 : 1,
           paused: this.paused,
+          oddResets: false,
           bleeding: null,
           contactPoints: this.watchers.has(client) ? organ.contactPoints() : null,
           threads: [],

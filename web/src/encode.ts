@@ -4,6 +4,7 @@ import { encodeClips } from "./clips";
 import { encodeContactPoints } from "./contact_points";
 import {
   FLAG_CLIPS,
+  FLAG_ODD_RESETS,
   FLAG_CONTACT,
   FLAG_CONTACT_POINTS,
   FLAG_GRASP,
@@ -56,7 +57,7 @@ export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
   view.setBigUint64(16, BigInt(header.step), true);
   const scalars = [header.time_s, header.rate_steps_per_s, header.realTimeFactor];
   scalars.forEach((x, i) => view.setFloat64(24 + 8 * i, x, true));
-  const flags = (header.paused ? FLAG_PAUSED : 0) | (header.contactPoints === null ? 0 : FLAG_CONTACT_POINTS) | (header.threads.length === 0 ? 0 : FLAG_THREADS) | (header.clips.length === 0 ? 0 : FLAG_CLIPS) | (header.strands_m.length === 0 ? 0 : FLAG_STRANDS);
+  const flags = (header.paused ? FLAG_PAUSED : 0) | (header.oddResets ? FLAG_ODD_RESETS : 0) | (header.contactPoints === null ? 0 : FLAG_CONTACT_POINTS) | (header.threads.length === 0 ? 0 : FLAG_THREADS) | (header.clips.length === 0 ? 0 : FLAG_CLIPS) | (header.strands_m.length === 0 ? 0 : FLAG_STRANDS);
   const words = [flags, header.tools.length, positions_m.length / 3, (4 * bloodRecords.length) / BLOOD_BYTES];
   words.forEach((word, i) => view.setUint32(48 + 4 * i, word, true));
   header.tools.forEach((tool, n) => {

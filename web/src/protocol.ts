@@ -37,6 +37,7 @@ export const FLAG_INSIDE = 32;
 export const FLAG_CODED = 64;
 export const FLAG_STRANDS = 128;
 export const FLAG_CLIPS = 256;
+export const FLAG_ODD_RESETS = 512;
 
 export const TOPOLOGY_HEADER_BYTES = 24;
 export const SNAPSHOT_HEADER_BYTES = 64;
@@ -121,6 +122,7 @@ export interface SnapshotHeader {
   readonly rate_steps_per_s: number;
   readonly realTimeFactor: number;
   readonly paused: boolean;
+  readonly oddResets: boolean;
   /** In the order of the hello's tools; at least one. */
   readonly tools: readonly ToolState[];
   /** Null for an organ without vessels. */
@@ -340,11 +342,8 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView, held: Key | null): 
   const hasInside = (flags & FLAG_INSIDE) !== 0;
   const strands = inside + (hasInside ? insideBytes(view, inside) : 0);
   const hasStrands = (flags & FLAG_STRANDS) !== 0;
-  checkLength(
-    buffer.byteLength,
-    strands + (hasStrands ? strandsBytes(view, strands) : 0),
-    `snapshot with ${nVertices} vertices and ${nBlood} records of blood`,
-  );
+  const end = strands + (hasStrands ? strandsBytes(view, strands) : 0);
+  checkLength(buffer.byteLength, end, `snapshot with ${nVertices} vertices and ${nBlood} records of blood`);
   const step = view.getBigUint64(16, true);
   if (step > BigInt(Number.MAX_SAFE_INTEGER)) fail(`snapshot: step ${step} is above 2^53`);
   const scalar = (offset: number, what: string): number => {
@@ -385,6 +384,7 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView, held: Key | null): 
       rate_steps_per_s: scalar(32, "simulation rate"),
       realTimeFactor: scalar(40, "real-time factor"),
       paused: (flags & FLAG_PAUSED) !== 0,
+      oddResets: (flags & FLAG_ODD_RESETS) !== 0,
       tools: Array.from({ length: nTools }, (_, i) => tool(SNAPSHOT_HEADER_BYTES + TOOL_BYTES * i)),
       bleeding: decodeBlood(view, blood, nBlood),
       contactPoints: hasContacts ? decodeContactPoints(view, contacts) : null,

@@ -25,6 +25,7 @@ const BARE: Snapshot = {
     rate_steps_per_s: 1000,
     realTimeFactor: 1,
     paused: false,
+    oddResets: false,
     tools: [
       {
         tip_m: [0, 0, 1],

@@ -33,6 +33,7 @@ const SNAPSHOT: Snapshot = {
     rate_steps_per_s: 497.25,
     realTimeFactor: 0.9945,
     paused: true,
+    oddResets: true,
     bleeding: {
       lost_m3: 0.25,
       rate_m3_per_s: 0.5,
@@ -177,7 +178,7 @@ describe("binary frames", () => {
     expect(view.getUint32(4, true)).toBe(2);
     expect(view.getBigUint64(16, true)).toBe(BigInt(2 ** 40 + 7));
     expect(view.getFloat64(24, true)).toBe(12.5);
-    expect([48, 52, 56, 60].map((at) => view.getUint32(at, true))).toEqual([2, 1, 4, 2]);
+    expect([48, 52, 56, 60].map((at) => view.getUint32(at, true))).toEqual([2 + 512, 1, 4, 2]);
     expect(view.getFloat64(64, true)).toBe(0.01);
     expect(view.getFloat64(88 + 8, true)).toBe(-0.6);
     expect([112, 120, 128].map((at) => view.getFloat64(at, true))).toEqual([0.5, 0.25, 1]);
@@ -197,8 +198,8 @@ describe("binary frames", () => {
     const view = new DataView(whole);
     const end = without.byteLength;
     expect(whole.byteLength).toBe(end + 5 * 8 + 4 + 3 * 40);
-    expect(view.getUint32(48, true)).toBe(2 + 8);
-    view.setUint32(48, 2, true);
+    expect(view.getUint32(48, true)).toBe(2 + 8 + 512);
+    view.setUint32(48, 2 + 512, true);
     expect(new Uint8Array(whole, 0, end)).toEqual(new Uint8Array(without));
     expect([view.getUint32(end + 24, true), view.getFloat32(end + 28, true), view.getUint32(end + 40, true)]).toEqual([7, 4, 3]);
     expect([44, 45, 46, 84, 85, 86, 124, 125, 126].map((at) => view.getUint8(end + at))).toEqual([0, 0, 3, 3, 2, 2, 4, 1, 0]);

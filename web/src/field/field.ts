@@ -25,6 +25,7 @@ export class OperatingField {
   private hello: Hello | null = null;
   private down = new Vector3();
   private time_s: number | null = null;
+  private oddResets = false;
 
   /** Burns of the first organ show in the material of tissue. */
   constructor(private readonly tissue: ShaderMaterial) {
@@ -59,12 +60,13 @@ export class OperatingField {
   /** A snapshot of the organ is shown; answers whether there is something new to see. */
   take(header: SnapshotHeader, organ: Organ): boolean {
     const dt_s = this.time_s === null ? 0 : header.time_s - this.time_s;
-    const jumps = dt_s < 0 || dt_s > JUMP_S;
+    const jumps = dt_s < 0 || dt_s > JUMP_S || header.oddResets !== this.oddResets;
     if (jumps) {
       this.clear();
       this.adopt(organ);
     }
     this.time_s = header.time_s;
+    this.oddResets = header.oddResets;
     if (this.hello === null || !(dt_s > 0) || jumps) return jumps;
     const hot = hotTools(header, this.hello).map((tool) => {
       const { contact, contactPoint_m, tip_m } = header.tools[tool];

@@ -166,6 +166,7 @@ impl PressedCubes {
             bleeding: BleedingSnapshot::default(),
             threads: Vec::new(),
             strands_m: Vec::new(),
+            n_resets: 0,
         };
         Ok(Self { bodies, far_sides, pressed_s: 0.0, shown, shown_nodes })
     }

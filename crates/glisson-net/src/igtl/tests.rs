@@ -35,6 +35,7 @@ pub(crate) fn published(step: u64) -> Arc<Published> {
             bleeding: Default::default(),
             threads: Vec::new(),
             strands_m: Vec::new(),
+            n_resets: 0,
             tools: vec![tool],
         },
         contact_points: None,

@@ -232,6 +232,7 @@ mod tests {
             bleeding: Default::default(),
             threads: Vec::new(),
             strands_m: Vec::new(),
+            n_resets: 0,
             tools,
         }
     }

@@ -92,6 +92,7 @@ fn snapshot(side: u32, frame: usize) -> Snapshot {
         },
         threads: if version_of(frame) == 2 { vec![thread] } else { Vec::new() },
         strands_m: Vec::new(),
+        n_resets: 0,
     }
 }
 

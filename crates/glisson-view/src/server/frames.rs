@@ -19,6 +19,7 @@ const FLAG_INSIDE: u32 = 32;
 const FLAG_CODED: u32 = 64;
 const FLAG_STRANDS: u32 = 128;
 const FLAG_CLIPS: u32 = 256;
+const FLAG_ODD_RESETS: u32 = 512;
 /// Where a SNAPSHOT frame says how many vertices it has.
 pub(crate) const N_VERTICES_AT: usize = 56;
 
@@ -158,7 +159,8 @@ fn frame_with(
     let n_blood = if bleeding.has_vessels { 1 + bleeding.ends.len() as u32 } else { 0 };
     let (n_tools, n_vertices) = (snapshot.tools.len() as u32, snapshot.positions_m.len() as u32);
     let optional = with_contacts | with_threads | with_clips | with_inside | with_strands;
-    let flags = paused | with_code | optional;
+    let of_resets = if snapshot.n_resets % 2 == 1 { FLAG_ODD_RESETS } else { 0 };
+    let flags = paused | of_resets | with_code | optional;
     frame.u32s(&[flags, n_tools, n_vertices, n_blood]);
     for tool in &snapshot.tools {
         let pose = &tool.pose;
@@ -252,6 +254,7 @@ mod tests {
             bleeding: BleedingSnapshot::default(),
             threads: Vec::new(),
             strands_m: Vec::new(),
+            n_resets: 0,
         }
     }
 
@@ -298,6 +301,14 @@ mod tests {
         assert_eq!([192, 200, 208].map(double), [0.5, 0.25, 0.125]);
         assert_eq!([216 + 120, 216 + 124].map(word), [0, 0]);
         assert_eq!(frame.len(), WITHOUT_BLOOD);
+    }
+
+    #[test]
+    fn a_flag_changes_with_each_reset() {
+        for (n_resets, expected) in [(0, 0), (1, 512), (2, 0), (7, 512)] {
+            let frame = snapshot_frame(&Snapshot { n_resets, ..snapshot() }, &PACE, None, None);
+            assert_eq!(u32::from_le_bytes(frame[48..52].try_into().unwrap()) & 512, expected, "{n_resets}");
+        }
     }
 
     #[test]

@@ -165,6 +165,7 @@ pub(super) mod tests {
             bleeding: Default::default(),
             threads: Vec::new(),
             strands_m: Vec::new(),
+            n_resets: 0,
         }
     }
 

@@ -103,6 +103,8 @@ pub struct Snapshot {
     pub threads: Vec<ThreadSnapshot>,
     /// Strands of attachments between bodies that hold: both ends of each [m].
     pub strands_m: Vec<[DVec3; 2]>,
+    /// How often everything went back to rest.
+    pub n_resets: u32,
 }
 
 /// What a viewer needs to know once, and again after each change of topology.

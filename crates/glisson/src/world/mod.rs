@@ -195,6 +195,8 @@ pub struct World {
     step: u64,
     /// Steps and time [s] up to where the time step was last another one.
     clock_base: (u64, f64),
+    /// For who looks on.
+    n_resets: u32,
     report: StepReport,
     /// None until somebody chose one.
     effort: Option<LevelOfDetail>,
@@ -271,6 +273,7 @@ impl World {
             pull_m_per_s2: gravity_m_per_s2,
             step: 0,
             clock_base: (0, 0.0),
+            n_resets: 0,
             report: StepReport::default(),
             effort: None,
             stage_watch: None,
@@ -378,6 +381,7 @@ impl World {
 
     /// Everything back to rest; the count of steps and the model stay.
     pub fn reset(&mut self) {
+        self.n_resets += 1;
         for (hand, tool) in self.tool_states.iter_mut().zip(&self.spec.tools) {
             *hand = ToolState::at_home(tool);
         }
@@ -514,6 +518,7 @@ impl World {
             bleeding,
             threads: Vec::new(),
             strands_m: Vec::new(),
+            n_resets: 0,
         };
         self.snapshot_into(&mut snapshot);
         snapshot
@@ -545,6 +550,7 @@ impl World {
         {
             suture.snapshot_into(spec, thread);
         }
+        snapshot.n_resets = self.n_resets;
         snapshot.strands_m.clear();
         snapshot.strands_m.extend(self.strands_m().map(|(_, ends_m)| ends_m));
         match &self.vessels {

@@ -56,6 +56,7 @@ impl World {
             pull_m_per_s2: self.pull_m_per_s2,
             step: self.step,
             clock_base: self.clock_base,
+            n_resets: self.n_resets,
             report: self.report,
             effort: self.effort,
             // Whoever listens to this world does not listen to its copy.

@@ -311,11 +311,12 @@ impl ImplicitEuler {
             .energy_j
     }
 
-    /// Where the first guess is far from balance, as that of a bit of tissue which a cut left hanging by little and which hardly anything
-    /// damps, takes the one of least potential: it, inertial motion, or no motion. Sets forces and returns the elastic energy.
+    /// In a cut body some elements have little material, and hang by little: hardly anything damps their motion. Where the first guess is far
+    /// from balance there, takes the one of least potential: it, inertial motion, or no motion. Sets forces and returns the elastic energy.
     fn better_guess(&mut self, factors: StepFactors, energy_j: f64) -> f64 {
+        let is_cut = self.mesh.shares.iter().any(|share| *share < 1.0);
         // Averaged over nodes, volume and strain have no exact tangent: steps that go on as the last did come to balance over several.
-        if self.volume != VolumeResistance::Element {
+        if !is_cut || self.volume != VolumeResistance::Element {
             return energy_j;
         }
         let first = self.balance(factors, energy_j);

@@ -233,6 +233,13 @@ impl MeshPlan {
         Ok(Self { params: *params, bounds_m, volume_m3, first_cell_m, topology: topology_of(surface) })
     }
 
+    /// With another topology than the surface's, for one that is known to have tunnels, cavities or pieces that are not
+    /// meant.
+    #[must_use]
+    pub fn with_topology(self, topology: WantedTopology) -> Self {
+        Self { topology, ..self }
+    }
+
     /// Signed distance of the surface, fine enough for the cells to come.
     ///
     /// # Errors

@@ -74,6 +74,18 @@ pub enum BuildError {
         /// Largest corner of the mesh [mm].
         max_mm: DVec3,
     },
+    /// A tube that its tetrahedra leave out.
+    #[error(
+        "a tube of {radius_mm:.3} mm radius at {place_mm:.1} mm is lost between tetrahedra with edges of {edge_mm:.1} mm; take a shorter edge"
+    )]
+    ThinTube {
+        /// Where [mm].
+        place_mm: DVec3,
+        /// Its radius there [mm].
+        radius_mm: f64,
+        /// Mean edge of the tetrahedra [mm].
+        edge_mm: f64,
+    },
     /// The branches of a tube.
     #[error("a tube with branches: {0}")]
     Branches(String),

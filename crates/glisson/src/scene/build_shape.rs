@@ -12,8 +12,9 @@ use crate::mesh::TetMesh;
 use crate::mesh::box_mesh::box_of_five;
 use crate::mesh::faults::{FaultAction, ImportPolicy};
 use crate::mesh::files::read_mesh_with;
-use crate::mesh::generate::{MeshParams, WantedSize, generate};
+use crate::mesh::generate::{MeshParams, MeshPlan, WantedSize, generate};
 use crate::mesh::organs::{Grading, OrganMeshParams, OrganSize, mesh_organs};
+use crate::mesh::stuffing::WantedTopology;
 use crate::surface::TriMesh;
 use crate::surface::extract::{SurfaceParams, surface_of_mask};
 use crate::surface::files::{import_closed_surface, surface_extensions};
@@ -94,7 +95,15 @@ impl<'a> ShapeBuilder<'a> {
             }
             BodyShape::Tube { stem, branches } => {
                 let surface = branched(stem, branches)?;
-                meshed(&surface, edge_m(longest(&surface.positions_m)))?
+                let edge_m = edge_m(longest(&surface.positions_m));
+                let plan = plan_of(&surface, edge_m)?;
+                let plan =
+                    if branches.is_empty() { plan } else { plan.with_topology(topology_of(stem, branches)) };
+                let mesh = plan.fill(&plan.distance_field(&surface)?)?.0;
+                std::iter::once(stem)
+                    .chain(branches)
+                    .try_for_each(|path| check_whole(path, &mesh, edge_m))?;
+                mesh
             }
         };
         Ok((mesh, Vec::new()))
@@ -175,14 +184,56 @@ fn branched(stem: &TubePath, branches: &[TubePath]) -> Result<TriMesh, BuildErro
     Ok(surface)
 }
 
+/// What the tubes are together: a ball, with a tunnel for each branch that begins and ends in others. Where two come
+/// close, their common surface can have tunnels narrower than its triangles, which are not meant.
+fn topology_of(stem: &TubePath, branches: &[TubePath]) -> WantedTopology {
+    let mut n_tunnels = 0;
+    for (at, branch) in branches.iter().enumerate() {
+        let others = || std::iter::once(stem).chain(&branches[..at]);
+        let [first_m, last_m] = [branch.path_m[0], branch.path_m[branch.path_m.len() - 1]];
+        let is_in = |end_m: DVec3| others().any(|other| is_in_tube(end_m, other));
+        n_tunnels += i64::from(is_in(first_m) && is_in(last_m));
+    }
+    WantedTopology { surface_euler_characteristic: 2 - 2 * n_tunnels, ..WantedTopology::BALL }
+}
+
+/// Checks that a tube that is thinner than its tetrahedra is there all along its path.
+fn check_whole(path: &TubePath, mesh: &TetMesh, edge_m: f64) -> Result<(), BuildError> {
+    for (point_m, radius_m) in path.path_m.iter().zip(&path.radii_m) {
+        let near_m =
+            mesh.positions_m.iter().map(|node_m| node_m.distance(*point_m)).fold(f64::INFINITY, f64::min);
+        if near_m > radius_m + edge_m {
+            return Err(BuildError::ThinTube {
+                place_mm: 1e3 * *point_m,
+                radius_mm: 1e3 * radius_m,
+                edge_mm: 1e3 * edge_m,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Whether a point is in a tube, whose radius changes evenly between the points of its path.
+fn is_in_tube(point_m: DVec3, tube: &TubePath) -> bool {
+    tube.path_m.windows(2).zip(tube.radii_m.windows(2)).any(|(ends_m, radii_m)| {
+        let (from_m, along_m) = (ends_m[0], ends_m[1] - ends_m[0]);
+        let share = ((point_m - from_m).dot(along_m) / along_m.length_squared()).clamp(0.0, 1.0);
+        point_m.distance(from_m + share * along_m) <= radii_m[0] + share * (radii_m[1] - radii_m[0])
+    })
+}
+
 fn longest(positions_m: &[DVec3]) -> f64 {
     let bounds = Aabb::of_points(positions_m);
     (bounds.max_m - bounds.min_m).max_element()
 }
 
 fn meshed(surface: &TriMesh, edge_m: f64) -> Result<TetMesh, BuildError> {
-    let params = MeshParams { size: WantedSize::EdgeM(edge_m), volume_m3: None };
-    Ok(generate(surface, &params)?.0)
+    let plan = plan_of(surface, edge_m)?;
+    Ok(plan.fill(&plan.distance_field(surface)?)?.0)
+}
+
+fn plan_of(surface: &TriMesh, edge_m: f64) -> Result<MeshPlan, BuildError> {
+    Ok(MeshPlan::new(surface, &MeshParams { size: WantedSize::EdgeM(edge_m), volume_m3: None })?)
 }
 
 fn cells(size_m: DVec3, edge_m: f64) -> TetMesh {
@@ -241,6 +292,63 @@ mod tests {
         let loose = tube(DVec3::X * 0.05, DVec3::new(0.05, 0.0, 0.1), 0.003);
         let error = shapes.mesh(&source(loose), FileKind::Tetrahedra).unwrap_err().to_string();
         assert!(error.contains("2 parts that do not touch"), "{error}");
+    }
+
+    #[test]
+    fn ducts_thinner_than_the_tetrahedra_are_whole_and_stay_apart() {
+        let mm = |x: f64, y: f64, z: f64| DVec3::new(x, y, z) * 1e-3;
+        // A gall bladder whose artery leaves its neck at so flat an angle that their surfaces meet again.
+        let stem = TubePath {
+            path_m: vec![
+                mm(-7.0, -14.0, -12.0),
+                mm(0.0, 0.0, 0.0),
+                mm(9.0, 0.0, -5.0),
+                mm(16.5, 0.0, -9.0),
+                mm(40.0, 6.0, -16.0),
+            ],
+            radii_m: vec![12.5e-3, 10e-3, 6e-3, 2.5e-3, 2.5e-3],
+        };
+        let artery = TubePath {
+            path_m: vec![
+                mm(5.0, 0.0, -2.8),
+                mm(12.5, -6.5, -3.5),
+                mm(24.0, -10.0, -4.0),
+                mm(38.0, -8.0, -6.0),
+            ],
+            radii_m: vec![2e-3; 4],
+        };
+        for edge_m in [4.5e-3, 5e-3, 6e-3] {
+            let shape = BodyShape::Tube { stem: stem.clone(), branches: vec![artery.clone()] };
+            let source = ShapeSource { shape, edge_m: Some(edge_m) };
+            let mesh = ShapeBuilder::new(Path::new("")).mesh(&source, FileKind::Tetrahedra).unwrap().0;
+            for path in [&stem, &artery] {
+                let end_m = path.path_m[path.path_m.len() - 1];
+                let away_m = mesh.positions_m.iter().map(|p| p.distance(end_m)).fold(f64::INFINITY, f64::min);
+                assert!(away_m < 3e-3, "{edge_m}: a duct ends {away_m} m before its end");
+            }
+            let quality = crate::mesh::quality::MeshQuality::of(&mesh);
+            assert_eq!((quality.surface_pieces, quality.surface_euler_characteristic), (1, 2), "{edge_m}");
+            // Nothing between the ducts.
+            let middle_m = mm(34.0, -2.0, -10.0);
+            let nearest_m =
+                mesh.positions_m.iter().map(|p| p.distance(middle_m)).fold(f64::INFINITY, f64::min);
+            assert!(nearest_m > 2.5e-3, "{edge_m}: tissue {nearest_m} m from the middle between the ducts");
+        }
+        let shape = BodyShape::Tube { stem: stem.clone(), branches: vec![artery.clone()] };
+        let source = ShapeSource { shape, edge_m: Some(9e-3) };
+        let error =
+            ShapeBuilder::new(Path::new("")).mesh(&source, FileKind::Tetrahedra).unwrap_err().to_string();
+        assert!(
+            error.contains("is lost between tetrahedra with edges of 9.0 mm; take a shorter edge"),
+            "{error}"
+        );
+        let back = TubePath {
+            path_m: vec![mm(5.0, 0.0, -2.8), mm(20.0, 30.0, 0.0), mm(40.0, 6.0, -16.0)],
+            radii_m: vec![4e-3; 3],
+        };
+        let euler =
+            |branch: &TubePath| topology_of(&stem, std::slice::from_ref(branch)).surface_euler_characteristic;
+        assert_eq!((euler(&artery), euler(&back)), (2, 0), "a branch that comes back makes a tunnel");
     }
 
     fn phantom(n_tetrahedra: usize, parts: Vec<Tissue>) -> ShapeSource {

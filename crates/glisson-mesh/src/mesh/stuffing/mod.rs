@@ -17,11 +17,13 @@
 //!   warped nodes concerned become stiff;
 //! - where a tetrahedron breaks the bound, its farthest warped node becomes stiff;
 //! - where the wanted topology is not that of the sampled signs, the signs of few nodes are changed
-//!   (`signs.rs`), and those nodes become stiff.
+//!   (`signs.rs`; thin parts that show as a chain of crumbs are joined first, `joining.rs`), and those nodes become
+//!   stiff.
 //!
 //! Stiffness and changed signs stay for later levels of the same field, so that the volume as a function of
 //! the level has no large jumps.
 
+mod joining;
 mod lattice;
 mod signs;
 mod stencils;
@@ -213,11 +215,17 @@ impl<F: Fn(DVec3) -> f64> Stuffing<F> {
         if !inside.contains(&true) {
             return Err(StuffingError::NothingInside { cell_m: self.lattice.cell_m });
         }
+        let joining = grid.join_crumbs(&mut inside, &self.values, level, self.wanted.bodies);
         let changes = grid.drop_crumbs(&mut inside, self.wanted);
+        for &node in joining.iter().filter(|&&node| inside[node]) {
+            self.forced[node] = Some(true);
+            self.stiff[node] = true;
+        }
         let found = grid.topology(&inside);
         if found != self.wanted {
             let repaired = grid
                 .repaired(&inside, &self.values, level, self.wanted)
+                .filter(|repaired| grid.keeps_to_the_body(&inside, repaired, &self.values, level))
                 .ok_or(StuffingError::Topology { cell_m: self.lattice.cell_m, found, wanted: self.wanted })?;
             for node in 0..inside.len() {
                 if repaired[node] != inside[node] {
@@ -388,14 +396,18 @@ impl<'a> Warped<'a> {
         }
     }
 
-    /// Whether a warped node's inside neighbours are connected around it, and its outside ones too.
+    /// Whether a warped node's inside neighbours make one disc around it, and its outside ones too.
     fn has_simple_link(&self, grid: &SignGrid<'_>, node: usize) -> bool {
         let mask_of = |sign: Sign| {
             (0..N_DIRECTIONS)
                 .filter(|&d| self.signs[grid.neighbour(node, d)] == sign)
                 .fold(0u16, |mask, d| mask | 1 << d)
         };
-        grid.is_patch(mask_of(Sign::Inside)) && grid.is_patch(mask_of(Sign::Outside))
+        // Others on the surface lie between: a patch can be a ring around them, whose Euler characteristic is 0.
+        [Sign::Inside, Sign::Outside]
+            .map(mask_of)
+            .into_iter()
+            .all(|mask| grid.is_patch(mask) && grid.link_euler(mask) == 1)
     }
 
     /// The filled mesh, and the key of each of its nodes.

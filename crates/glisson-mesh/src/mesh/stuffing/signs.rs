@@ -60,6 +60,10 @@ impl<'a> SignGrid<'a> {
         }
     }
 
+    pub(super) fn cell_m(&self) -> f64 {
+        self.lattice.cell_m
+    }
+
     pub(super) fn is_interior(&self, node: usize) -> bool {
         self.interior[node]
     }
@@ -107,7 +111,7 @@ impl<'a> SignGrid<'a> {
 
     /// Sizes and members of the connected sets of nodes with `inside == kind`: for each node its set, and for
     /// each set its size. Sets are numbered by their first node.
-    fn components(&self, inside: &[bool], kind: bool) -> (Vec<u32>, Vec<usize>) {
+    pub(super) fn components(&self, inside: &[bool], kind: bool) -> (Vec<u32>, Vec<usize>) {
         let mut set_of = vec![u32::MAX; inside.len()];
         let mut sizes = Vec::new();
         let mut stack = Vec::new();
@@ -194,7 +198,7 @@ impl<'a> SignGrid<'a> {
     }
 
     /// Euler characteristic of the part of the link over the nodes of `mask`.
-    fn link_euler(&self, mask: u16) -> i64 {
+    pub(super) fn link_euler(&self, mask: u16) -> i64 {
         let mut sum = i64::from(mask.count_ones());
         for a in 0..N_DIRECTIONS {
             if mask >> a & 1 == 0 {
@@ -323,7 +327,7 @@ fn largest(sizes: &[usize], n_kept: usize, always: Option<u32>) -> Vec<bool> {
 
 /// A float with the total order of `f64::total_cmp`.
 #[derive(Clone, Copy, Debug)]
-struct OrderedNumber(f64);
+pub(super) struct OrderedNumber(pub(super) f64);
 
 impl PartialEq for OrderedNumber {
     fn eq(&self, other: &Self) -> bool {

@@ -149,23 +149,23 @@ impl Store {
         Ok(Comparison { id, person: stored.person, reference, metrics, curves })
     }
 
-    /// The learning curves of a metric over a person's attempts at a task: one for each instrument that has it. Of a task that
-    /// was changed, the attempts at its last scene; answers how many at other scenes are left out.
+    /// The learning curves of a metric over the attempts of the person at the task that `filter` names: one for each instrument
+    /// that has it. Of what it lets through, the attempts at the last scene; answers how many at other scenes are left out.
     ///
     /// # Errors
     /// [`StoreError::Unknown`] where the person, the task, the group or the metric is not there.
     pub fn curves(
         &self,
-        (person, task): (&str, &str),
+        filter: &crate::Filter,
         metric: &str,
         group: Option<&str>,
     ) -> Result<(Vec<NamedCurve>, usize), StoreError> {
-        let filter = crate::Filter { person: Some(person.into()), task: Some(task.into()) };
-        let all = self.results(&filter)?;
+        let all = self.results(filter)?;
         let Some(last) = all.last() else {
-            let what = "result of that person at the task";
-            return Err(self.unknown(what, format!("\"{task}\""), &[]));
+            let task = filter.task.as_deref().unwrap_or_default();
+            return Err(self.unknown("such result at the task", format!("\"{task}\""), &[]));
         };
+        let person = last.person.as_str();
         let scene_hash = &last.kept.attempt.scene_hash;
         let attempts = self.attempts(person, scene_hash)?;
         let references = match group {

@@ -46,6 +46,10 @@ pub struct Filter {
     pub person: Option<String>,
     /// At this task.
     pub task: Option<String>,
+    /// At this level.
+    pub level: Option<String>,
+    /// Of this synthetic patient.
+    pub patient: Option<u32>,
 }
 
 /// A result in the store.
@@ -173,7 +177,7 @@ impl Store {
     /// Results in the order of time.
     ///
     /// # Errors
-    /// [`StoreError::Unknown`] where there is no such person or task.
+    /// [`StoreError::Unknown`] where there is no such person, task or level.
     pub fn results(&self, filter: &Filter) -> Result<Vec<StoredResult>, StoreError> {
         if let Some(person) = &filter.person {
             self.person_id(person)?;
@@ -181,8 +185,13 @@ impl Store {
         if let Some(task) = &filter.task {
             self.require("task", "SELECT DISTINCT task FROM result ORDER BY task", task)?;
         }
-        let chosen = "WHERE (?1 IS NULL OR person.name = ?1) AND (?2 IS NULL OR task = ?2) ORDER BY finished_at, result.id";
-        self.select(chosen, params![filter.person, filter.task])
+        if let Some(level) = &filter.level {
+            let levels = "SELECT DISTINCT level FROM result WHERE level IS NOT NULL ORDER BY level";
+            self.require("level", levels, level)?;
+        }
+        let chosen = "WHERE (?1 IS NULL OR person.name = ?1) AND (?2 IS NULL OR task = ?2) AND (?3 IS NULL OR level = ?3) \
+             AND (?4 IS NULL OR seed = ?4) ORDER BY finished_at, result.id";
+        self.select(chosen, params![filter.person, filter.task, filter.level, filter.patient])
     }
 
     /// A result by its number.

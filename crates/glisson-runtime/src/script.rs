@@ -1,6 +1,7 @@
 //! Operations that lead the instruments by what they see of the organ, in the viewer and without a window alike.
 
-use glisson::scene::Scene;
+use glisson::model::rigid::RigidMotion;
+use glisson::scene::{BodySource, RigidSource, Scene};
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::World;
 
@@ -56,12 +57,25 @@ pub struct PathScript {
 }
 
 impl PathScript {
-    /// After `waits_s` of simulated time at home; none where the scene has no paths.
+    /// After `waits_s` of simulated time at home, or where bodies breathe after the whole breaths that are as long or longer, so
+    /// that the paths meet them as without waiting; none where the scene has no paths.
     pub fn new(scene: Scene, waits_s: f64) -> Option<Self> {
         let time_step_s = scene.world.time_step_s;
+        let waits_s = breath_s(&scene).map_or(waits_s, |breath_s| (waits_s / breath_s).ceil() * breath_s);
         let last_step = (scene.end_of_paths_s()? / time_step_s).ceil() as u64;
         Some(Self { scene, step: 0, last_step, n_waiting: (waits_s / time_step_s).round() as u64 })
     }
+}
+
+/// The longest breath of a scene's bodies [s], if any breathes.
+fn breath_s(scene: &Scene) -> Option<f64> {
+    let breaths_s = scene.bodies.iter().filter_map(|body| match &body.source {
+        BodySource::Rigid(RigidSource { motion: RigidMotion::Breathing { period_s, .. }, .. }) => {
+            Some(*period_s)
+        }
+        _ => None,
+    });
+    breaths_s.reduce(f64::max)
 }
 
 impl Script for PathScript {
@@ -88,5 +102,22 @@ impl Script for PathScript {
 
     fn result(&self, _: &World) -> anyhow::Result<String> {
         Ok("the instruments are at the ends of their paths".into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tasks::task_named;
+
+    #[test]
+    fn paths_of_scenes_that_breathe_begin_with_a_breath() {
+        let waits_s = |task: &str| {
+            let scene = Scene::parse(task_named(task).unwrap()).unwrap();
+            let time_step_s = scene.world.time_step_s;
+            PathScript::new(scene, 3.0).unwrap().n_waiting as f64 * time_step_s
+        };
+        assert!((waits_s("breathing_liver") - 4.0).abs() < 1e-9);
+        assert!((waits_s("cholecystectomy") - 3.0).abs() < 1e-9);
     }
 }

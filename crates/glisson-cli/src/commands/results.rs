@@ -106,11 +106,31 @@ struct Chosen {
     /// Only at this task
     #[arg(long, value_name = "NAME")]
     task: Option<String>,
+    #[command(flatten)]
+    variant: Variant,
+}
+
+/// Which of the variants of a task.
+#[derive(Debug, clap::Args)]
+struct Variant {
+    /// Only at this level
+    #[arg(long, value_name = "NAME")]
+    level: Option<String>,
+    /// Only of this synthetic patient
+    #[arg(long, value_name = "SEED")]
+    patient: Option<u32>,
+}
+
+impl Variant {
+    fn filter(&self, person: Option<&str>, task: Option<&str>) -> Filter {
+        let [person, task] = [person, task].map(|name| name.map(str::to_owned));
+        Filter { person, task, level: self.level.clone(), patient: self.patient }
+    }
 }
 
 impl Chosen {
     fn filter(&self) -> Filter {
-        Filter { person: self.person.clone(), task: self.task.clone() }
+        self.variant.filter(self.person.as_deref(), self.task.as_deref())
     }
 }
 
@@ -122,6 +142,8 @@ struct Curve {
     /// At which task
     #[arg(long, value_name = "NAME")]
     task: String,
+    #[command(flatten)]
+    variant: Variant,
     /// Which metric, such as time, path_length, peak_force, smoothness_sparc
     #[arg(long, value_name = "NAME")]
     metric: String,
@@ -213,8 +235,8 @@ fn draw(store: &Store, args: &Curve) -> anyhow::Result<()> {
     if let Some(out) = &args.out {
         check_extension(out, &["svg"])?;
     }
-    let of = (args.person.as_str(), args.task.as_str());
-    let (mut curves, n_left_out) = store.curves(of, &args.metric, args.group.as_deref())?;
+    let filter = args.variant.filter(Some(&args.person), Some(&args.task));
+    let (mut curves, n_left_out) = store.curves(&filter, &args.metric, args.group.as_deref())?;
     let tools: Vec<String> = curves.iter().filter_map(|curve| curve.of.tool.clone()).collect();
     if let Some(tool) = &args.tool {
         curves.retain(|curve| curve.of.tool.as_ref() == Some(tool));
@@ -230,7 +252,7 @@ fn draw(store: &Store, args: &Curve) -> anyhow::Result<()> {
     }
     if n_left_out > 0 {
         println!(
-            "{n_left_out} attempts are left out: another level, another patient, or a scene that was changed since"
+            "{n_left_out} attempts are left out: another level or patient (choose them with --level and --patient), or a scene that was changed since"
         );
     }
     let Some(out) = &args.out else { return Ok(()) };
@@ -311,7 +333,7 @@ fn group(store: &mut Store, verb: &GroupVerb) -> anyhow::Result<()> {
 }
 
 fn forget(store: &mut Store, person: &str, is_sure: bool) -> anyhow::Result<()> {
-    let results = store.results(&Filter { person: Some(person.to_owned()), task: None })?;
+    let results = store.results(&Filter { person: Some(person.to_owned()), ..Filter::default() })?;
     let what = format!("{person} with {} results", results.len());
     ensure!(is_sure, "{what} would be removed; add --yes to do it");
     store.forget(person)?;

@@ -41,6 +41,29 @@ fn gall_bladder() {
     check("gall_bladder.toml");
 }
 
+/// Force of samples that relax over that of the elastic one: the series of the scene, 7.25 s after the middle of the press.
+#[test]
+fn rheology() {
+    check("rheology.toml");
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/rheology.toml");
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["run", file.to_str().unwrap(), "--steps", "785", "--csv", "forces.csv"];
+    let output = glisson(folder.path(), &args);
+    assert!(output.status.success(), "{}", text_of(&output.stderr));
+    let forces = std::fs::read_to_string(folder.path().join("forces.csv")).unwrap();
+    let (names, last) = (forces.lines().next().unwrap(), forces.lines().last().unwrap());
+    let force_n = |name: &str| -> f64 {
+        let column = names.split(',').position(|column| column == name).unwrap();
+        last.split(',').nth(column).unwrap().parse().unwrap()
+    };
+    let shares = ["force_y_n_2", "force_y_n_3"].map(|name| force_n(name) / force_n("force_y_n"));
+    let second = 1.0 - 0.450;
+    let third = second - 0.365 * (1.0 - (-7.25_f64 / 50.0).exp());
+    for (found, wanted) in shares.into_iter().zip([second, third]) {
+        assert!((found - wanted).abs() < 0.005, "{found} of the elastic force, {wanted} by the series");
+    }
+}
+
 #[test]
 fn no_scene_is_left_out() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes");

@@ -102,7 +102,11 @@ fn results_are_found_by_person_and_task_and_mistakes_are_named() {
         store.add(&kept(person, minute, 9.0)).unwrap();
     }
     let find = |person: Option<&str>, task: Option<&str>| {
-        store.results(&Filter { person: person.map(str::to_owned), task: task.map(str::to_owned) })
+        store.results(&Filter {
+            person: person.map(str::to_owned),
+            task: task.map(str::to_owned),
+            ..Filter::default()
+        })
     };
     assert_eq!(find(Some("Ada"), None).unwrap().len(), 2);
     assert_eq!(find(Some("Ben"), Some("press")).unwrap().len(), 1);
@@ -238,7 +242,7 @@ fn a_result_is_compared_with_the_last_passed_ones_of_a_group_without_its_own() {
 
     // One of the group is compared with the three others: too few for quartiles, and that is told.
     store.remove_from_group("experts", &["Me".into()]).unwrap();
-    let own = store.results(&Filter { person: Some("A".into()), task: None }).unwrap()[1].id;
+    let own = store.results(&Filter { person: Some("A".into()), ..Filter::default() }).unwrap()[1].id;
     let comparison = store.compare(own, Some("experts")).unwrap();
     assert_eq!(comparison.reference.as_ref().unwrap().n_people, 3);
     let time = comparison.metric("time", None).unwrap();
@@ -260,7 +264,7 @@ fn an_attempt_that_was_not_done_is_not_called_fast() {
         store.add(&tried).unwrap();
     }
     let ids: Vec<i64> = store
-        .results(&Filter { person: Some("Me".into()), task: None })
+        .results(&Filter { person: Some("Me".into()), ..Filter::default() })
         .unwrap()
         .iter()
         .map(|r| r.id)
@@ -270,12 +274,41 @@ fn an_attempt_that_was_not_done_is_not_called_fast() {
         ids.iter().map(|id| standing(*id)).collect::<Vec<_>>(),
         [Some(Standing::Better), None, None, Some(Standing::Better)]
     );
-    let (curves, n_left_out) = store.curves(("Me", "press"), "time", Some("experts")).unwrap();
+    let (curves, n_left_out) = store.curves(&mine(), "time", Some("experts")).unwrap();
     assert_eq!((curves.len(), n_left_out), (1, 0));
     assert_eq!(curves[0].curve.points, [(1, 9.0), (4, 6.0)]);
     assert_eq!((curves[0].curve.n_attempts, curves[0].curve.band.unwrap().median), (4, 10.0));
-    let error = store.curves(("Me", "press"), "tim", None).unwrap_err().to_string();
+    let error = store.curves(&mine(), "tim", None).unwrap_err().to_string();
     assert!(error.contains("there is no metric \"tim\"; did you mean \"time\"?"), "{error}");
+}
+
+/// The attempts of "Me" at the task.
+fn mine() -> Filter {
+    Filter { person: Some("Me".into()), task: Some("press".into()), ..Filter::default() }
+}
+
+#[test]
+fn results_and_curves_are_those_of_a_level_and_a_patient() {
+    let (mut store, _folder) = store();
+    for (minute, level, patient) in [(1, "hard", 4), (2, "hard", 4), (3, "normal", 26), (4, "normal", 4)] {
+        let mut tried = kept("Me", minute, 10.0);
+        tried.attempt.level = Some(level.into());
+        tried.attempt.seed = Some(patient);
+        tried.attempt.scene_hash = scene_hash(&format!("{level} {patient}"));
+        store.add(&tried).unwrap();
+    }
+    let of = |level: Option<&str>, patient| Filter { level: level.map(str::to_owned), patient, ..mine() };
+    let n_found = |filter: Filter| store.results(&filter).unwrap().len();
+    assert_eq!(
+        (n_found(of(Some("hard"), None)), n_found(of(None, Some(4))), n_found(of(Some("normal"), Some(4)))),
+        (2, 3, 1)
+    );
+    let error = store.results(&of(Some("hart"), None)).unwrap_err().to_string();
+    assert!(error.contains("there is no level \"hart\"; did you mean \"hard\"?"), "{error}");
+    let (curves, n_left_out) = store.curves(&of(Some("hard"), None), "time", None).unwrap();
+    assert_eq!((curves[0].curve.points.len(), n_left_out), (2, 0));
+    let error = store.curves(&of(None, Some(7)), "time", None).unwrap_err().to_string();
+    assert!(error.contains("there is no such result at the task \"press\""), "{error}");
 }
 
 #[test]
@@ -286,7 +319,7 @@ fn a_curve_has_the_attempts_at_the_last_scene_of_a_task_and_one_line_an_instrume
     store.add(&before).unwrap();
     store.add(&kept("Me", 2, 8.0)).unwrap();
     store.add(&kept("Me", 3, 7.0)).unwrap();
-    let (curves, n_left_out) = store.curves(("Me", "press"), "path_length", None).unwrap();
+    let (curves, n_left_out) = store.curves(&mine(), "path_length", None).unwrap();
     assert_eq!((n_left_out, curves.len()), (1, 2));
     assert_eq!(curves[0].of.tool.as_deref(), Some("probe"));
     assert_eq!(curves[0].curve.points, [(1, 0.08), (2, 0.07)]);
@@ -354,7 +387,7 @@ fn two_programs_write_to_one_database_at_once_and_nothing_is_lost() {
     });
     let store = Store::open_existing(&file).unwrap();
     for person in ["Ada", "Ben"] {
-        let of = Filter { person: Some(person.into()), task: None };
+        let of = Filter { person: Some(person.into()), ..Filter::default() };
         let found = store.results(&of).unwrap();
         assert_eq!(found.len(), 100, "{person}");
         assert!(

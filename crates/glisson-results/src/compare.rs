@@ -167,7 +167,9 @@ impl Store {
         };
         let person = last.person.as_str();
         let scene_hash = &last.kept.attempt.scene_hash;
-        let attempts = self.attempts(person, scene_hash)?;
+        let is_there =
+            |result: &&StoredResult| result.person == person && result.kept.attempt.scene_hash == *scene_hash;
+        let attempts: Vec<StoredResult> = all.iter().filter(is_there).cloned().collect();
         let references = match group {
             Some(group) => self.reference_results(group, scene_hash, person)?,
             None => Vec::new(),

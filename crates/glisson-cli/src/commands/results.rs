@@ -252,7 +252,7 @@ fn draw(store: &Store, args: &Curve) -> anyhow::Result<()> {
     }
     if n_left_out > 0 {
         println!(
-            "{n_left_out} attempts are left out: another level or patient (choose them with --level and --patient), or a scene that was changed since"
+            "{n_left_out} attempts are left out: another level or patient (--level and --patient choose them), or a scene that was changed since"
         );
     }
     let Some(out) = &args.out else { return Ok(()) };

@@ -244,7 +244,7 @@ fn of_wandering(
         }
         let bad = careless.metric(good.name, good.tool.as_deref());
         let bad = bad.with_context(|| format!("{name}: {} has no value", good.name))?;
-        // Beside a way along the shaft there is no other depth.
+        // A detour at right angles to the shaft leaves the way along it as it is.
         if good.name == "depth_path" && (bad / good.value - 1.0).abs() < SAME_DEPTH {
             continue;
         }

@@ -96,7 +96,7 @@ impl<'a> ShapeBuilder<'a> {
             BodyShape::Tube { stem, branches } => {
                 let surface = branched(stem, branches)?;
                 let edge_m = edge_m(longest(&surface.positions_m));
-                let plan = plan_of(&surface, edge_m)?;
+                let plan = MeshPlan::new(&surface, &with_edges(edge_m))?;
                 let plan =
                     if branches.is_empty() { plan } else { plan.with_topology(topology_of(stem, branches)) };
                 let mesh = plan.fill(&plan.distance_field(&surface)?)?.0;
@@ -184,7 +184,7 @@ fn branched(stem: &TubePath, branches: &[TubePath]) -> Result<TriMesh, BuildErro
     Ok(surface)
 }
 
-/// What the tubes are together: a ball, with a tunnel for each branch that begins and ends in others. Where two come
+/// What the tubes are together: a ball, with a tunnel for each branch that begins and ends in the stem or in branches before it. Where two come
 /// close, their common surface can have tunnels narrower than its triangles, which are not meant.
 fn topology_of(stem: &TubePath, branches: &[TubePath]) -> WantedTopology {
     let mut n_tunnels = 0;
@@ -197,7 +197,7 @@ fn topology_of(stem: &TubePath, branches: &[TubePath]) -> WantedTopology {
     WantedTopology { surface_euler_characteristic: 2 - 2 * n_tunnels, ..WantedTopology::BALL }
 }
 
-/// Checks that a tube that is thinner than its tetrahedra is there all along its path.
+/// Checks that a tube that is thinner than its tetrahedra is there at the points of its path.
 fn check_whole(path: &TubePath, mesh: &TetMesh, edge_m: f64) -> Result<(), BuildError> {
     for (point_m, radius_m) in path.path_m.iter().zip(&path.radii_m) {
         let near_m =
@@ -228,12 +228,11 @@ fn longest(positions_m: &[DVec3]) -> f64 {
 }
 
 fn meshed(surface: &TriMesh, edge_m: f64) -> Result<TetMesh, BuildError> {
-    let plan = plan_of(surface, edge_m)?;
-    Ok(plan.fill(&plan.distance_field(surface)?)?.0)
+    Ok(generate(surface, &with_edges(edge_m))?.0)
 }
 
-fn plan_of(surface: &TriMesh, edge_m: f64) -> Result<MeshPlan, BuildError> {
-    Ok(MeshPlan::new(surface, &MeshParams { size: WantedSize::EdgeM(edge_m), volume_m3: None })?)
+fn with_edges(edge_m: f64) -> MeshParams {
+    MeshParams { size: WantedSize::EdgeM(edge_m), volume_m3: None }
 }
 
 fn cells(size_m: DVec3, edge_m: f64) -> TetMesh {

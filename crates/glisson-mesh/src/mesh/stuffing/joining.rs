@@ -9,52 +9,54 @@
 use super::lattice::N_DIRECTIONS;
 use super::signs::{OrderedNumber, SignGrid};
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 /// Farthest that a point can be from the nodes of a body-centred cubic lattice, in cells: a quarter of the root of 5.
 const COVERING_RADIUS: f64 = 0.559_017;
 
 impl SignGrid<'_> {
-    /// Joins the connected sets of inside nodes, by nodes at most the covering radius above the level, until there
-    /// are `n_bodies` or nothing links more. Answers the nodes that were turned.
+    /// Joins the connected sets of inside nodes, the smallest to what is nearest, by nodes at most the covering radius
+    /// above the level that are not `closed`, until there are `n_bodies` or nothing links more. Answers the nodes that
+    /// were turned.
     pub(super) fn join_crumbs(
         &self,
         inside: &mut [bool],
         distance_m: &[f64],
         level_m: f64,
         n_bodies: usize,
+        is_closed: impl Fn(usize) -> bool,
     ) -> Vec<usize> {
         let mut turned = Vec::new();
         let (mut set_of, sizes) = self.components(inside, true);
-        let mut largest_first: Vec<u32> = (0..sizes.len() as u32).collect();
-        largest_first.sort_by_key(|&set| (Reverse(sizes[set as usize]), set));
-        let Some((&body, crumbs)) = largest_first.split_first() else { return turned };
+        // Sets that may still be joined to others, by size.
+        let mut open: BTreeSet<(usize, u32)> = sizes.iter().copied().zip(0..).collect();
         let mut n_sets = sizes.len();
-        let mut is_crumb = vec![false; sizes.len()];
-        crumbs.iter().for_each(|&set| is_crumb[set as usize] = true);
-        while n_sets > n_bodies {
-            let is_goal = |node: usize| inside[node] && is_crumb[set_of[node] as usize];
-            let outside_m = |node: usize| (distance_m[node] - level_m).max(0.0);
-            let starts = (0..inside.len()).filter(|&n| inside[n] && set_of[n] == body);
-            let Some((goal, path)) = self.shortest_path(starts, is_goal, outside_m) else { break };
+        while n_sets > n_bodies && open.len() > 1 {
+            let Some((size, crumb)) = open.pop_first() else { break };
+            let is_goal = |node: usize| inside[node] && set_of[node] != crumb;
+            let outside_m = |node: usize| match is_closed(node) {
+                true => f64::INFINITY,
+                false => (distance_m[node] - level_m).max(0.0),
+            };
+            let starts = (0..inside.len()).filter(|&n| inside[n] && set_of[n] == crumb);
+            let Some((goal, path)) = self.shortest_path(starts, is_goal, outside_m) else { continue };
             let joined = set_of[goal];
-            is_crumb[joined as usize] = false;
-            for set in set_of.iter_mut().filter(|set| **set == joined) {
-                *set = body;
+            let joined_size = set_of.iter().filter(|set| **set == joined).count();
+            if open.remove(&(joined_size, joined)) {
+                open.insert((joined_size + size + path.len(), joined));
             }
+            set_of.iter_mut().filter(|set| **set == crumb).for_each(|set| *set = joined);
             for node in path {
-                if !inside[node] {
-                    inside[node] = true;
-                    set_of[node] = body;
-                    turned.push(node);
-                }
+                inside[node] = true;
+                set_of[node] = joined;
+                turned.push(node);
             }
             n_sets -= 1;
         }
         turned
     }
 
-    /// Whether no node was turned to inside that is farther outside than a thin part of the body explains: such nodes
+    /// Whether no node was turned to inside that is more than the covering radius outside: such nodes
     /// are a bar through the void, put there for the sake of the topology.
     pub(super) fn keeps_to_the_body(
         &self,
@@ -76,7 +78,7 @@ impl SignGrid<'_> {
         cost_m: impl Fn(usize) -> f64,
     ) -> Option<(usize, Vec<usize>)> {
         let most_m = COVERING_RADIUS * self.cell_m();
-        let mut before = std::collections::BTreeMap::new();
+        let mut before = BTreeMap::new();
         let mut heap = BinaryHeap::new();
         for start in starts {
             before.insert(start, start);

@@ -215,7 +215,10 @@ impl<F: Fn(DVec3) -> f64> Stuffing<F> {
         if !inside.contains(&true) {
             return Err(StuffingError::NothingInside { cell_m: self.lattice.cell_m });
         }
-        let joining = grid.join_crumbs(&mut inside, &self.values, level, self.wanted.bodies);
+        let joining = {
+            let is_closed = |node: usize| self.forced[node] == Some(false);
+            grid.join_crumbs(&mut inside, &self.values, level, self.wanted.bodies, is_closed)
+        };
         let changes = grid.drop_crumbs(&mut inside, self.wanted);
         for &node in joining.iter().filter(|&&node| inside[node]) {
             self.forced[node] = Some(true);

@@ -97,6 +97,20 @@ describe("the viewer's layout", () => {
       await laidOut();
       expect(await faultsOfLayout(page), view).toEqual([]);
       await page.screenshot({ path: name(view) });
+      // With the buttons of a hand without a keyboard.
+      await page.evaluate(() => document.body.classList.add("touched"));
+      await laidOut();
+      expect(await faultsOfLayout(page), `${view}, touched`).toEqual([]);
+      await page.screenshot({ path: name(`${view}-touched`) });
+      const more = page.getByRole("button", { name: "More" });
+      if (await more.isVisible()) {
+        await more.click();
+        await laidOut();
+        expect(await page.getByRole("button", { name: "Pause" }).isVisible()).toBe(true);
+        expect(await faultsOfLayout(page), `${view}, unfolded`).toEqual([]);
+        await more.click();
+      }
+      await page.evaluate(() => document.body.classList.remove("touched"));
       // All that can be shown beside it.
       for (const key of ["Shift+P", "c", "p", "Shift+C", "Shift+X", "Shift+M"]) {
         await page.keyboard.press(key);

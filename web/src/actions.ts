@@ -62,3 +62,6 @@ export const ACTIONS = [
   "tool_5",
 ] as const;
 export type Action = (typeof ACTIONS)[number];
+
+/** Take an instrument, in the order of their numbers. */
+export const TOOL_ACTIONS = ["tool_1", "tool_2", "tool_3", "tool_4", "tool_5"] as const satisfies readonly Action[];

@@ -18,6 +18,30 @@ function element(name: string, className: string, text = ""): HTMLElement {
   return node;
 }
 
+/** A button that is held down repeats what it does after this time, and then so often [ms]: about as keys do. */
+const REPEATS_AFTER_MS = 400;
+const REPEATS_EVERY_MS = 80;
+
+/** Runs again and again while `node` is held; answers whether it did, for the click that ends it. */
+function repeatWhileHeld(node: HTMLElement, run: () => void): () => boolean {
+  let timer: ReturnType<typeof setTimeout> | undefined;
+  let repeated = false;
+  const again = (): void => {
+    repeated = true;
+    run();
+    timer = setTimeout(again, REPEATS_EVERY_MS);
+  };
+  node.addEventListener("pointerdown", () => {
+    repeated = false;
+    clearTimeout(timer);
+    timer = setTimeout(again, REPEATS_AFTER_MS);
+  });
+  for (const end of ["pointerup", "pointerleave", "pointercancel"]) node.addEventListener(end, () => clearTimeout(timer));
+  // A finger that is held would open the browser's own menu.
+  node.addEventListener("contextmenu", (event) => event.preventDefault());
+  return () => repeated;
+}
+
 export class ButtonBar<A extends string> {
   private readonly buttons = new Map<A, HTMLElement>();
 
@@ -28,9 +52,11 @@ export class ButtonBar<A extends string> {
         const node = element("button", "");
         node.append(element("span", "button-label", label), element("kbd", "", key));
         node.dataset.action = action;
-        node.title = bindings.find((b) => b.action === action)?.does ?? label;
+        const binding = bindings.find((b) => b.action === action);
+        node.title = binding?.does ?? label;
+        const repeated = binding?.repeats === true ? repeatWhileHeld(node, () => run(action)) : () => false;
         node.addEventListener("click", (event) => {
-          run(action);
+          if (event.detail === 0 || !repeated()) run(action);
           // After a mouse click the space bar should pause again, not press this button.
           if (event.detail > 0) node.blur();
         });

@@ -1,7 +1,8 @@
 /**
- * Pointer and wheel on the canvas. Left button: on the organ it pushes, on the background it turns the view
+ * Pointers and wheel on the canvas. Left button: on the organ it pushes, on the background it turns the view
  * (Alt: always). Right button: turns. Shift + left on the background, or middle button: moves the view. Wheel: zooms, or while
- * pushing, deeper and shallower.
+ * pushing, deeper and shallower. A second finger pushes with another instrument where it comes down on the organ; beside it, it leads the push of the
+ * first one deeper and back, or two fingers zoom and move the view.
  */
 
 export type Gesture = "push" | "turn" | "move";
@@ -30,20 +31,46 @@ export function wheelNotches(deltaY: number, deltaMode: number): number {
   return Number.isFinite(notches) ? Math.min(5, Math.max(-5, notches)) : 0;
 }
 
+/** A finger that leads another's push goes so far for a notch of the wheel [pixels]. */
+const DEPTH_PIXELS = 12;
+/** Two fingers that part to so many times their distance zoom by one notch of the wheel. */
+const PINCH_PER_NOTCH = 1 / 0.9;
+
+type Place = readonly [x: number, y: number];
+
+/** Notches of the wheel of two fingers that were `before` and are `now`. */
+export function pinchNotches(before: readonly [Place, Place], now: readonly [Place, Place]): number {
+  const [was, is] = [before, now].map(([a, b]) => Math.hypot(a[0] - b[0], a[1] - b[1]));
+  return was > 0 && is > 0 ? Math.log(is / was) / Math.log(PINCH_PER_NOTCH) : 0;
+}
+
+/** Which instrument a pointer pushes with: that in the hand, or the one beside it. */
+export type PushHand = "first" | "second";
+
 export interface ControlEvents {
   isOnOrgan(x: number, y: number): boolean;
-  pushBegin(x: number, y: number): void;
-  pushMove(x: number, y: number): void;
-  pushEnd(): void;
+  /** False if there is nothing to push, or with. */
+  pushBegin(x: number, y: number, hand: PushHand): boolean;
+  pushMove(x: number, y: number, hand: PushHand): void;
+  pushEnd(hand: PushHand): void;
   turn(dx: number, dy: number): void;
   move(dx: number, dy: number): void;
   wheel(notches: number): void;
 }
 
+/** What a second finger does beside the first. */
+type SecondGesture = "push" | "depth" | "pinch";
+
+interface Pressed<K> {
+  readonly kind: K;
+  readonly pointer: number;
+  at: Place;
+}
+
 export class Controls {
-  private gesture: { readonly kind: Gesture; readonly pointer: number } | null = null;
-  private last: [number, number] = [0, 0];
-  private hovered: [number, number] | null = null;
+  private first: Pressed<Gesture> | null = null;
+  private second: Pressed<SecondGesture> | null = null;
+  private hovered: Place | null = null;
 
   constructor(
     private readonly canvas: HTMLCanvasElement,
@@ -66,70 +93,104 @@ export class Controls {
     );
   }
 
-  private at(event: MouseEvent): [number, number] {
+  private at(event: MouseEvent): Place {
     const box = this.canvas.getBoundingClientRect();
     return [event.clientX - box.left, event.clientY - box.top];
   }
 
   private down(event: PointerEvent): void {
-    if (this.gesture !== null) return;
-    const [x, y] = this.at(event);
+    const at = this.at(event);
+    if (this.first !== null) {
+      this.downBeside(this.first, event, at);
+      return;
+    }
     const kind = gestureOf({
       button: event.button,
       altKey: event.altKey,
       shiftKey: event.shiftKey,
-      onOrgan: event.button === 0 && !event.altKey && this.events.isOnOrgan(x, y),
+      onOrgan: event.button === 0 && !event.altKey && this.events.isOnOrgan(...at),
     });
     if (kind === null) return;
-    this.gesture = { kind, pointer: event.pointerId };
-    this.last = [x, y];
+    this.first = { kind, pointer: event.pointerId, at };
     this.canvas.setPointerCapture(event.pointerId);
     this.canvas.style.cursor = kind === "push" ? "none" : "grabbing";
-    if (kind === "push") this.events.pushBegin(x, y);
+    if (kind === "push") this.events.pushBegin(...at, "first");
+  }
+
+  /** Another pointer comes down. The buttons of a mouse are one pointer: what they began goes on. */
+  private downBeside(first: Pressed<Gesture>, event: PointerEvent, at: Place): void {
+    if (this.second !== null || event.pointerId === first.pointer) return;
+    const besidePush = (): SecondGesture => (this.events.pushBegin(...at, "second") ? "push" : "depth");
+    this.second = { kind: first.kind === "push" ? besidePush() : "pinch", pointer: event.pointerId, at };
+    this.canvas.setPointerCapture(event.pointerId);
   }
 
   private moved(event: PointerEvent): void {
-    const [x, y] = this.at(event);
-    if (this.gesture === null) {
-      this.hover(x, y);
+    const at = this.at(event);
+    if (this.first === null && this.second === null) {
+      this.hover(at);
       return;
     }
-    if (event.pointerId !== this.gesture.pointer) return;
-    const [dx, dy] = [x - this.last[0], y - this.last[1]];
-    this.last = [x, y];
-    if (this.gesture.kind === "push") this.events.pushMove(x, y);
-    else if (this.gesture.kind === "turn") this.events.turn(dx, dy);
+    if (event.pointerId === this.second?.pointer) this.movedBeside(this.second, at);
+    if (event.pointerId !== this.first?.pointer) return;
+    const { kind, at: before } = this.first;
+    const [dx, dy] = [at[0] - before[0], at[1] - before[1]];
+    if (this.second?.kind === "pinch") this.pinch([before, this.second.at], [at, this.second.at]);
+    else if (kind === "push") this.events.pushMove(...at, "first");
+    else if (kind === "turn") this.events.turn(dx, dy);
     else this.events.move(dx, dy);
+    this.first.at = at;
+  }
+
+  private movedBeside(second: Pressed<SecondGesture>, at: Place): void {
+    if (second.kind === "push") this.events.pushMove(...at, "second");
+    else if (second.kind === "depth") this.events.wheel((second.at[1] - at[1]) / DEPTH_PIXELS);
+    else if (this.first !== null) this.pinch([this.first.at, second.at], [this.first.at, at]);
+    second.at = at;
+  }
+
+  private pinch(before: readonly [Place, Place], now: readonly [Place, Place]): void {
+    this.events.wheel(pinchNotches(before, now));
+    const middle = (k: 0 | 1): number => (now[0][k] + now[1][k] - before[0][k] - before[1][k]) / 2;
+    this.events.move(middle(0), middle(1));
   }
 
   private up(event: PointerEvent): void {
-    if (this.gesture === null || event.pointerId !== this.gesture.pointer) return;
-    const { kind } = this.gesture;
-    this.gesture = null;
+    if (event.pointerId === this.second?.pointer) {
+      if (this.second.kind === "push") this.events.pushEnd("second");
+      this.second = null;
+    }
+    if (event.pointerId !== this.first?.pointer) return;
+    const { kind } = this.first;
+    this.first = null;
+    // What the finger that stays did beside this one it does no more; a push is its own.
+    if (this.second?.kind !== "push") this.second = null;
     this.canvas.style.cursor = "";
-    if (kind === "push") this.events.pushEnd();
+    if (kind === "push") this.events.pushEnd("first");
   }
 
-  /** Ends a push from elsewhere (a key). */
+  /** Ends what pointers do from elsewhere (a key). */
   cancel(): void {
-    if (this.gesture === null) return;
-    const { kind, pointer } = this.gesture;
-    this.gesture = null;
+    const [first, second] = [this.first, this.second];
+    this.first = this.second = null;
     this.canvas.style.cursor = "";
-    if (this.canvas.hasPointerCapture(pointer)) this.canvas.releasePointerCapture(pointer);
-    if (kind === "push") this.events.pushEnd();
+    for (const pressed of [first, second]) {
+      if (pressed !== null && this.canvas.hasPointerCapture(pressed.pointer)) this.canvas.releasePointerCapture(pressed.pointer);
+    }
+    if (first?.kind === "push") this.events.pushEnd("first");
+    if (second?.kind === "push") this.events.pushEnd("second");
   }
 
   /** The cursor tells what a press would do; looked up once a frame at most. */
-  private hover(x: number, y: number): void {
+  private hover(place: Place): void {
     const waiting = this.hovered !== null;
-    this.hovered = [x, y];
+    this.hovered = place;
     if (waiting) return;
     requestAnimationFrame(() => {
       const at = this.hovered;
       this.hovered = null;
-      if (at === null || this.gesture !== null) return;
-      this.canvas.style.cursor = this.events.isOnOrgan(at[0], at[1]) ? "crosshair" : "grab";
+      if (at === null || this.first !== null) return;
+      this.canvas.style.cursor = this.events.isOnOrgan(...at) ? "crosshair" : "grab";
     });
   }
 }

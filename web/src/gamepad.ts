@@ -13,8 +13,8 @@ export interface PadEvents {
   act(action: Action, tool: number | null): void;
   /** How strongly one that moves this instrument should shake, 0 to 1. */
   rumble(tool: number | null): number;
-  /** How a device is mapped. */
-  mapping(id: string): PadMapping | undefined;
+  /** How a gamepad of such a name is mapped (`namesOf`). */
+  mapping(name: string): PadMapping | undefined;
 }
 
 interface Known {
@@ -29,6 +29,16 @@ export function stateOf(pad: Gamepad): PadState {
 /** The gamepads that are there. */
 export function connectedPads(): Gamepad[] {
   return navigator.getGamepads().filter((pad): pad is Gamepad => pad?.connected === true);
+}
+
+/** What each of some gamepads is kept by: its model, and a number from the second of a model on. */
+export function namesOf(pads: ReadonlyArray<{ readonly id: string }>): string[] {
+  const seen = new Map<string, number>();
+  return pads.map(({ id }) => {
+    const n = (seen.get(id) ?? 0) + 1;
+    seen.set(id, n);
+    return n === 1 ? id : `${id} (${n})`;
+  });
 }
 
 /** Looks at all gamepads once a frame for as long as there is one. */
@@ -72,14 +82,15 @@ export class GamepadInput {
     const dt_s = Math.min(0.1, Math.max(0, (now_ms - (this.last_ms ?? now_ms)) / 1000));
     this.last_ms = now_ms;
     for (const index of this.known.keys()) if (!pads.some((pad) => pad.index === index)) this.known.delete(index);
-    for (const pad of pads) this.read(pad, dt_s, now_ms);
+    const names = namesOf(pads);
+    pads.forEach((pad, i) => this.read(pad, names[i], dt_s, now_ms));
     requestAnimationFrame((next_ms) => this.frame(next_ms));
   }
 
-  private read(pad: Gamepad, dt_s: number, now_ms: number): void {
+  private read(pad: Gamepad, name: string, dt_s: number, now_ms: number): void {
     const now = stateOf(pad);
     const known = this.known.get(pad.index);
-    const mapping = this.events.mapping(pad.id) ?? USUAL_PAD;
+    const mapping = this.events.mapping(name) ?? USUAL_PAD;
     const { motion_m, roll_rad, actions } = readPad(now, known?.before ?? null, dt_s, mapping);
     const next = { before: now, shaken_ms: known?.shaken_ms ?? 0 };
     this.known.set(pad.index, next);

@@ -1,5 +1,6 @@
 /** What pointer and keys ask of the instrument in the hand; in the theatre view what turns the view leads the endoscope. */
 import { Vector3 } from "three";
+import type { PushHand } from "./controls";
 import type { PushStart } from "./drag";
 import type { Hands } from "./hands";
 import { text } from "./language";
@@ -9,6 +10,7 @@ import type { Page } from "./page";
 import type { Scene3d } from "./scene3d";
 import { advanced, pivoted } from "./theatre/endoscope";
 import type { Theatre } from "./theatre/view";
+import type { ToolDriver } from "./tool_driver";
 
 export interface MotionEvents {
   /** An instrument should move. */
@@ -20,6 +22,8 @@ export interface MotionEvents {
 export class HandMotion {
   /** Vertex nearest to the picked point of the last push. */
   pickedVertex: number | null = null;
+  /** The instruments of the last pushes. */
+  private readonly pushing: Record<PushHand, number> = { first: 0, second: 0 };
 
   constructor(
     private readonly scene: Scene3d,
@@ -34,21 +38,31 @@ export class HandMotion {
     return !this.theatre.leads(this.hands.chosen) && this.scene.pick(x, y) !== null;
   }
 
-  pushBegin(x: number, y: number): void {
-    const start = this.pushStart(x, y);
-    if (start === null) return;
-    this.hands.driver.beginPush(start, this.scene.ray(x, y));
+  /** With the instrument in the hand, or the one beside it. */
+  pushBegin(x: number, y: number, hand: PushHand): boolean {
+    const tool = hand === "first" ? this.hands.chosen : this.hands.second;
+    const start = tool === null ? null : this.pushStart(x, y, tool);
+    if (tool === null || start === null) return false;
+    this.pushing[hand] = tool;
+    this.hands.driverOf(tool).beginPush(start, this.scene.ray(x, y));
+    this.events.moved();
+    return true;
+  }
+
+  pushMove(x: number, y: number, hand: PushHand): void {
+    this.pushedBy(hand)?.follow(this.scene.ray(x, y));
     this.events.moved();
   }
 
-  pushMove(x: number, y: number): void {
-    this.hands.driver.follow(this.scene.ray(x, y));
+  pushEnd(hand: PushHand): void {
+    this.pushedBy(hand)?.retract();
     this.events.moved();
   }
 
-  pushEnd(): void {
-    this.hands.driver.retract();
-    this.events.moved();
+  /** The hand of a push; none if its instrument went with another scene. */
+  private pushedBy(hand: PushHand): ToolDriver | null {
+    const tool = this.pushing[hand];
+    return this.hands.has(tool) ? this.hands.driverOf(tool) : null;
   }
 
   turn(dx: number, dy: number): void {
@@ -100,8 +114,8 @@ export class HandMotion {
   }
 
   /** What a push at a place of the canvas needs to know; null beside the organ. */
-  private pushStart(x: number, y: number): PushStart | null {
-    const start = this.scene.pushStart(x, y);
+  private pushStart(x: number, y: number, tool = this.hands.chosen): PushStart | null {
+    const start = this.scene.pushStart(x, y, tool);
     if (start === null) return null;
     this.pickedVertex = start.vertex;
     this.page.hint.classList.add("gone");

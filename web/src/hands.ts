@@ -28,6 +28,8 @@ const newHand = (homeJaw: number): Hand => ({
 
 export class Hands {
   private hands: Hand[] = [newHand(0)];
+  /** Whether each is an endoscope. */
+  private looks: boolean[] = [false];
   /** Number of the instrument that pointer and keys move. */
   chosen = 0;
 
@@ -35,11 +37,24 @@ export class Hands {
   begin(hello: Hello): void {
     if (this.hands.length !== hello.tools.length) this.hands = hello.tools.map((tool) => newHand(tool.home_jaw));
     else this.hands = this.hands.map((hand, i) => ({ ...hand, homeJaw: hello.tools[i].home_jaw }));
+    this.looks = hello.tools.map(({ optics }) => optics !== null);
     this.chosen = Math.min(this.chosen, hello.tools.length - 1);
   }
 
   get driver(): ToolDriver {
     return this.hands[this.chosen].driver;
+  }
+
+  /** The instrument of a second pointer: the next one after that in the hand that is no endoscope; null if there is none. */
+  get second(): number | null {
+    const n = this.hands.length;
+    const others = Array.from({ length: n - 1 }, (_, i) => (this.chosen + 1 + i) % n);
+    return others.find((tool) => !this.looks[tool]) ?? null;
+  }
+
+  /** How that in the hand is asked to be. */
+  get state(): { readonly jaw: number; readonly trigger: number } {
+    return this.hands[this.chosen];
   }
 
   driverOf(tool: number): ToolDriver {

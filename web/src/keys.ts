@@ -1,5 +1,5 @@
 /** Which key does what: one table for the keyboard, the buttons and the help page. */
-import type { Action } from "./actions";
+import { TOOL_ACTIONS, type Action } from "./actions";
 import { keysIn, LANGUAGE, text } from "./language";
 
 export { type Action };
@@ -151,9 +151,6 @@ export function actionIn<A extends string>(press: KeyPress, bindings: ReadonlyAr
   if (binding === undefined || (press.repeat && !binding.repeats)) return null;
   return binding.action;
 }
-
-/** Take an instrument, in the order of their numbers. */
-export const TOOL_ACTIONS = ["tool_1", "tool_2", "tool_3", "tool_4", "tool_5"] as const;
 
 /** Number of the instrument that a key takes, from 0; null for other actions. */
 export function toolNumber(action: string): number | null {

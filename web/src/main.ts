@@ -1,5 +1,6 @@
 /** Starts the viewer on the page, or says on the page why it cannot. */
 import "./style.css";
+import "./hand.css";
 import "./lists.css";
 import "./task.css";
 import "./layout.css";

@@ -1,6 +1,7 @@
 /** What lies over the picture: help page, messages, connection banner, buttons; and saving a file. */
 import { ButtonBar, button, type ButtonGroups } from "./button_bar";
 import type { ConnectionState } from "./connection";
+import { TOOL_ACTIONS } from "./actions";
 import { BINDINGS, type Action, type Binding } from "./keys";
 import { languageChoice, text } from "./language";
 import type { Stereo } from "./theatre/stereo";
@@ -13,7 +14,7 @@ function element(name: string, className: string, words = ""): HTMLElement {
   return node;
 }
 
-const MOUSE: ReadonlyArray<readonly [string, string]> = (["push", "deeper", "turn", "move", "zoom", "endoscope"] as const).map(
+const MOUSE: ReadonlyArray<readonly [string, string]> = (["push", "deeper", "turn", "move", "zoom", "endoscope", "fingers"] as const).map(
   (what) => [text(`mouse_${what}`), text(`mouse_${what}_does`)],
 );
 
@@ -125,6 +126,10 @@ export function showConnection(page: Pick<Page, "link" | "banner">, state: Conne
 }
 
 const GROUPS = [
+  // What a hand without a keyboard needs: shown from the first touch on.
+  [["tool_1", "1"], ["tool_2", "2"], ["tool_3", "3"], ["tool_4", "4"], ["tool_5", "5"]],
+  [["tool_place", "G"], ["jaws", "B"], ["trigger", "V"], ["clip", "A"], ["undo", "Z"]],
+  [["tool_deeper", "U"], ["tool_back", "O"], ["roll_left", "−"], ["roll_right", "+"]],
   [["pause", "␣"], ["single_step", "→"], ["slow_motion", "<"], ["reset_simulation", "⇧R"], ["next_model", "M"], ["turning", "⇧M"]],
   [["reset_view", "R"], ["wireframe", "W"], ["fixed_nodes", "T"], ["contacts", "C"], ["forces", "F"], ["field", "⇧C"], ["plane", "⇧X"]],
   [["theatre", "N"], ["wipe", "D"], ["outside", "⇧N"], ["stereo", "⇧D"], ["headset", "⇧V"]],
@@ -132,6 +137,9 @@ const GROUPS = [
   [["panel", "⇧P"], ["bookmark", "*"], ["screenshot", "S"], ["sound", "⇧S"], ["profiler", "P"], ["devices", "⇧E"], ["help", "H"]],
   [["start_page", "⇧Q"]],
 ] as const;
+
+/** So many of them are the hand's. */
+const N_HAND_GROUPS = 3;
 
 const BUTTONS: ButtonGroups<Action> = GROUPS.map((group) => group.map(([action, key]) => button<Action>(action, text(`button_${action}`), key)));
 
@@ -157,11 +165,42 @@ export interface ShownTheatre {
   readonly stereo: Stereo;
 }
 
+/** The button that shows what is folded away where there is little room, and folds it again. */
+function unfolding(root: HTMLElement): HTMLElement {
+  const group = element("div", "button-group unfold");
+  const more = element("button", "", text("button_more"));
+  more.setAttribute("aria-pressed", "false");
+  more.addEventListener("click", () => more.setAttribute("aria-pressed", String(root.classList.toggle("unfolded"))));
+  group.append(more);
+  return group;
+}
+
 export class Toolbar extends ButtonBar<Action> {
   constructor(root: HTMLElement, run: (action: Action) => void) {
     super(root, BUTTONS, BINDINGS, run);
+    const hand = [...root.children].slice(0, N_HAND_GROUPS);
+    for (const group of hand) group.classList.add("of-hand");
+    hand[N_HAND_GROUPS - 1].after(unfolding(root));
+    const touched = (): void => document.body.classList.add("touched");
+    if (window.matchMedia("(pointer: coarse)").matches) touched();
+    window.addEventListener("pointerdown", ({ pointerType }) => pointerType === "touch" && touched(), true);
     // Until one is found.
     this.offer("headset", false);
+  }
+
+  /** The instruments of a scene have their names on their buttons. */
+  begin(tools: ReadonlyArray<{ readonly name: string }>): void {
+    TOOL_ACTIONS.forEach((action, tool) => {
+      this.offer(action, tool < tools.length);
+      this.name(action, tools[tool]?.name);
+    });
+  }
+
+  /** Shows the instrument in the hand, and how it is. */
+  showHand(chosen: number, { jaw, trigger }: { readonly jaw: number; readonly trigger: number }): void {
+    TOOL_ACTIONS.forEach((action, tool) => this.set(action, tool === chosen));
+    this.set("jaws", jaw <= 0.5);
+    this.set("trigger", trigger > 0.5);
   }
 
   /** Shows all switches as on or off. */

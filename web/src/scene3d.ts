@@ -326,9 +326,9 @@ export class Scene3d {
   }
 
   /** What a push at a place of the canvas needs to know, and the vertex picked there; null beside the organ. */
-  pushStart(x: number, y: number): (PushStart & { readonly vertex: number }) | null {
+  pushStart(x: number, y: number, by = this.chosen): (PushStart & { readonly vertex: number }) | null {
     const pick = this.pick(x, y);
-    const tool = this.hello?.tools[this.chosen];
+    const tool = this.hello?.tools[by];
     if (pick === null || tool === undefined) return null;
     return { hit_m: pick.point_m, normal: pick.normal, tipRadius_m: tool.tip_radius_m, view: this.axes(), vertex: pick.vertex };
   }

@@ -161,6 +161,7 @@ export class Viewer {
     this.contacts.forget();
     this.lab.begin(hello);
     this.hands.begin(hello);
+    this.toolbar.begin(hello.tools);
     this.scene.begin(hello);
     this.bodies.begin(hello.bodies);
     this.scene.choose(this.hands.chosen);
@@ -269,9 +270,7 @@ export class Viewer {
         this.help.open = !this.help.open;
         break;
       case "screenshot": void this.screenshot(); break;
-      case "leave":
-        this.leave();
-        break;
+      case "leave": this.leave(); break;
       case "tool_place":
         this.motion.place();
         break;
@@ -306,6 +305,7 @@ export class Viewer {
   private refreshSwitches(): void {
     const leaving = this.hello?.can_leave === true ? (this.leaving.isAsked(performance.now()) ? "asked" : "offered") : null;
     this.toolbar.show(this.header?.paused ?? false, this.help.open, this.looks.shown, this.theatre, leaving, this.news.slowMotion.speed, this.lab.shown);
+    this.toolbar.showHand(this.hands.chosen, this.hands.state);
   }
 
   private invalidate(): void {

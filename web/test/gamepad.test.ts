@@ -2,6 +2,7 @@ import { describe, expect, it } from "vitest";
 import { rumble, type Feel } from "../src/feel";
 import { panelValues } from "../src/panel";
 import { decodeText, ProtocolError } from "../src/protocol";
+import { namesOf } from "../src/gamepad";
 import { padsOf, pedalsOf, readPad, stick, USUAL_PAD, type PadState } from "../src/input_devices/mapping";
 
 const REST: PadState = { axes: [0.05, -0.1, 0, 0.02], pressed: [] };
@@ -47,6 +48,13 @@ describe("gamepad", () => {
     expect(readPad(down, REST, 0.016, USUAL_PAD).actions).toEqual(["trigger", "cut"]);
     expect(readPad(down, down, 0.016, USUAL_PAD).actions).toEqual([]);
     expect(readPad(down, null, 0.016, USUAL_PAD).actions).toEqual([]);
+  });
+
+  it("two of one model are mapped each by itself, to any instrument", () => {
+    expect(namesOf([{ id: "pad" }, { id: "other" }, { id: "pad" }, { id: "pad" }])).toEqual(["pad", "other", "pad (2)", "pad (3)"]);
+    const kept = padsOf({ pad: { ...USUAL_PAD, instrument: 4 }, "pad (2)": { ...USUAL_PAD, instrument: 5 } });
+    expect(["pad", "pad (2)"].map((name) => kept[name].instrument)).toEqual([4, null]);
+    expect(pedalsOf({ F13: { action: "trigger", instrument: 4, whileHeld: true } }).F13.instrument).toBe(4);
   });
 
   it("does what it is mapped to", () => {

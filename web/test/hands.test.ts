@@ -37,6 +37,21 @@ describe("several instruments", () => {
     expect([hands.chosen, texts.length, toolNumber("cut")]).toEqual([1, 1, null]);
   });
 
+  it("a second pointer takes the next one that is no endoscope", () => {
+    const hands = new Hands();
+    hands.begin(HELLO);
+    expect(hands.second).toBe(1);
+    const endoscope = { ...TOOL, optics: { view_angle_rad: 0, field_of_view_rad: 1 } };
+    hands.begin({ tools: [TOOL, endoscope, TOOL] } as unknown as Hello);
+    expect(hands.second).toBe(2);
+    hands.choose(2, messages().sink);
+    expect(hands.second).toBe(0);
+    hands.begin({ tools: [TOOL, endoscope] } as unknown as Hello);
+    expect([hands.chosen, hands.second]).toEqual([1, 0]);
+    hands.choose(0, messages().sink);
+    expect(hands.second).toBeNull();
+  });
+
   it("jaws and trigger are sent where the instrument is shown, once", () => {
     const hands = new Hands();
     hands.begin(HELLO);

@@ -1,10 +1,10 @@
 /** Keys, pedals and gamepads: what they ask for goes to the viewer; pointers are `controls.ts`. */
-import type { Action } from "../actions";
+import { TOOL_ACTIONS, type Action } from "../actions";
 import type { Connection } from "../connection";
 import { GamepadInput } from "../gamepad";
 import type { HandMotion } from "../hand_motion";
 import type { Hands } from "../hands";
-import { actionOf, isForPart, TOOL_ACTIONS } from "../keys";
+import { actionOf, isForPart } from "../keys";
 import type { LoopNews } from "../timing";
 import { Devices, type DevicesNow } from "./dialog";
 import type { Pedal } from "./mapping";
@@ -32,7 +32,7 @@ export class Inputs {
       roll: (by_rad, number) => motion.roll(by_rad, tool(number)),
       act: (action, number) => events.run(action, false, tool(number)),
       rumble: (number) => news.rumble(number ?? hands.chosen),
-      mapping: (id) => this.devices.pads[id],
+      mapping: (name) => this.devices.pads[name],
     });
     this.devices = new Devices(document.body, () => events.now(), (message) => {
       connection().send(message);

@@ -1,5 +1,5 @@
 /** What input devices do: which instrument a gamepad moves, by which sticks and buttons, and what keys that are foot pedals do. Kept for each device. */
-import { ACTIONS, type Action } from "../actions";
+import { ACTIONS, TOOL_ACTIONS, type Action } from "../actions";
 
 export const MOTIONS = ["right", "up", "into", "roll"] as const;
 export type Motion = (typeof MOTIONS)[number];
@@ -76,7 +76,7 @@ function padOf(value: unknown): PadMapping {
     if (action !== null && numberOrNull(Number(number), MOST_NUMBER) !== null) buttons[Number(number)] = action;
   }
   return {
-    instrument: numberOrNull(value.instrument, 4),
+    instrument: numberOrNull(value.instrument, TOOL_ACTIONS.length),
     deadZone: within(value.deadZone, DEAD_ZONES.least, DEAD_ZONES.greatest, USUAL_PAD.deadZone),
     speed_m_per_s: within(value.speed_m_per_s, SPEEDS_M_PER_S.least, SPEEDS_M_PER_S.greatest, USUAL_PAD.speed_m_per_s),
     axes: {
@@ -102,7 +102,7 @@ export function pedalsOf(value: unknown): Pedals {
   for (const [code, found] of Object.entries(value).slice(0, MOST_DEVICES)) {
     const action = isRecord(found) ? actionOf(found.action) : null;
     if (action === null || !isRecord(found)) continue;
-    pedals[code] = { action, instrument: numberOrNull(found.instrument, 4), whileHeld: found.whileHeld === true };
+    pedals[code] = { action, instrument: numberOrNull(found.instrument, TOOL_ACTIONS.length), whileHeld: found.whileHeld === true };
   }
   return pedals;
 }

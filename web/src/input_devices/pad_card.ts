@@ -9,7 +9,7 @@ export class PadCard {
   private readonly lamps: HTMLElement[] = [];
 
   constructor(
-    readonly id: string,
+    readonly name: string,
     private readonly state: PadState,
     private mapping: PadMapping,
     private readonly names: readonly string[],
@@ -63,7 +63,7 @@ export class PadCard {
       this.put(USUAL_PAD);
       this.build();
     });
-    this.root.replaceChildren(element("h3", "", this.id), lines, test, buttons, usual);
+    this.root.replaceChildren(element("h3", "", this.name), lines, test, buttons, usual);
     this.show(this.state);
   }
 

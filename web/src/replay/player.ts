@@ -106,7 +106,7 @@ export class Player {
     views.all.forEach(({ scene }, i) => {
       new Controls(scene.canvas, {
         isOnOrgan: () => false,
-        pushBegin: () => undefined,
+        pushBegin: () => false,
         pushMove: () => undefined,
         pushEnd: () => undefined,
         turn: (dx, dy) => this.look((orbit, height) => turned(orbit, dx, dy, height), i),

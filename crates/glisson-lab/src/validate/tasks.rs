@@ -14,7 +14,9 @@ use glisson::training::trace::Trace;
 use glisson_runtime::script::PathScript;
 use glisson_runtime::tasks::{TASKS, task_named};
 use glisson_runtime::{OpenScene, Simulation};
+use std::panic::resume_unwind;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 const OWN: &str = "requirement: tasks and their assessment";
 /// How far a careless hand is off half-way between two points of the demonstration [m], and how long it thinks there, and at the end of the way [s].
@@ -66,50 +68,82 @@ fn play(scene: Scene) -> anyhow::Result<Played> {
     Ok(Played { result, trace, real_time_factor: f64::from(steps) * time_step_s / busy_s })
 }
 
+/// What a part of the group comes to.
+type Part = anyhow::Result<Vec<Experiment>>;
+
 pub(super) fn experiments() -> anyhow::Result<Outcome> {
-    let mut experiments = Vec::new();
+    let mut parts: Vec<Box<dyn Fn() -> Part + Send + Sync>> = Vec::new();
     for (name, _) in TASKS {
-        let demonstration = play(scene_of(name)?)?;
-        let again = play(scene_of(name)?)?;
-        experiments.extend(of_demonstration(name, &demonstration, &again));
-        let (mut careful, mut careless) = (scene_of(name)?, scene_of(name)?);
-        wander(&mut careless, &demonstration.trace);
-        for scene in [&mut careful, &mut careless] {
-            move_like_a_hand(scene);
-        }
-        experiments.push(of_wandering(
-            name,
-            &play(careful)?.result,
-            &play(careless)?.result,
-            &scene_of(name)?,
-        )?);
+        parts.push(Box::new(|| of_task(name)));
     }
-    experiments.extend(of_variants()?);
-    experiments.extend(injected_faults()?);
-    Ok(experiments.into())
+    for (name, text) in TASKS {
+        for choice in choices(text)? {
+            parts.push(Box::new(move || Ok(vec![of_variant(name, text, &choice)?])));
+        }
+    }
+    for injected in &INJECTED {
+        parts.push(Box::new(|| of_injected(injected)));
+    }
+    let found: Vec<Vec<Experiment>> = side_by_side(&parts).into_iter().collect::<anyhow::Result<_>>()?;
+    Ok(found.concat().into())
 }
 
-/// The demonstrations with all patients and at all levels that may be chosen.
-fn of_variants() -> anyhow::Result<Vec<Experiment>> {
-    let mut experiments = Vec::new();
-    for (name, text) in TASKS {
-        let Some(task) = Scene::parse(text)?.task else { continue };
-        let patients = task.patients.iter().map(|patient| Choice { patient: Some(*patient), level: None });
-        // The demonstration itself is done at its own level.
-        let others = task.levels.iter().filter(|level| task.level.as_ref() != Some(level));
-        let levels = others.map(|level| Choice { patient: None, level: Some(level.clone()) });
-        for choice in patients.chain(levels) {
-            let played = play(Scene::parse(&choose(text, &choice)?)?)?;
-            let of = match &choice {
-                Choice { patient: Some(patient), .. } => format!("of patient {patient}"),
-                Choice { level, .. } => format!("at the level {}", level.as_deref().unwrap_or_default()),
-            };
-            let not_passed = f64::from(u8::from(!played.result.is_passed));
-            let what = format!("{name} {of}: its demonstration does not pass");
-            experiments.push(Experiment::at_most(&what, OWN, not_passed, 0.0));
+/// Runs parts on all cores, each on one thread, whose processor time is its own; what comes out is in their order.
+fn side_by_side<T: Send>(parts: &[impl Fn() -> T + Sync]) -> Vec<T> {
+    let next = AtomicUsize::new(0);
+    let take_turns = || {
+        let mut done = Vec::new();
+        loop {
+            let number = next.fetch_add(1, Ordering::Relaxed);
+            let Some(part) = parts.get(number) else { return done };
+            done.push((number, part()));
         }
+    };
+    let n_cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let mut done: Vec<(usize, T)> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..n_cores).map(|_| scope.spawn(take_turns)).collect();
+        threads
+            .into_iter()
+            .flat_map(|thread| thread.join().unwrap_or_else(|panic| resume_unwind(panic)))
+            .collect()
+    });
+    done.sort_by_key(|(number, _)| *number);
+    done.into_iter().map(|(_, what)| what).collect()
+}
+
+/// The demonstration of a task, twice, and a hand that wanders on its way.
+fn of_task(name: &str) -> Part {
+    let demonstration = play(scene_of(name)?)?;
+    let again = play(scene_of(name)?)?;
+    let mut experiments = of_demonstration(name, &demonstration, &again);
+    let (mut careful, mut careless) = (scene_of(name)?, scene_of(name)?);
+    wander(&mut careless, &demonstration.trace);
+    for scene in [&mut careful, &mut careless] {
+        move_like_a_hand(scene);
     }
+    experiments.push(of_wandering(name, &play(careful)?.result, &play(careless)?.result, &scene_of(name)?)?);
     Ok(experiments)
+}
+
+/// The patients and levels of a task that may be chosen, but that of the demonstration itself.
+fn choices(text: &str) -> anyhow::Result<Vec<Choice>> {
+    let Some(task) = Scene::parse(text)?.task else { return Ok(Vec::new()) };
+    let patients = task.patients.iter().map(|patient| Choice { patient: Some(*patient), level: None });
+    let others = task.levels.iter().filter(|level| task.level.as_ref() != Some(level));
+    let levels = others.map(|level| Choice { patient: None, level: Some(level.clone()) });
+    Ok(patients.chain(levels).collect())
+}
+
+/// The demonstration with another patient, or at another level.
+fn of_variant(name: &str, text: &str, choice: &Choice) -> anyhow::Result<Experiment> {
+    let played = play(Scene::parse(&choose(text, choice)?)?)?;
+    let of = match choice {
+        Choice { patient: Some(patient), .. } => format!("of patient {patient}"),
+        Choice { level, .. } => format!("at the level {}", level.as_deref().unwrap_or_default()),
+    };
+    let not_passed = f64::from(u8::from(!played.result.is_passed));
+    let what = format!("{name} {of}: its demonstration does not pass");
+    Ok(Experiment::at_most(&what, OWN, not_passed, 0.0))
 }
 
 /// What is cut there holds vessels: that they bleed then is no fault of the demonstration, and the gate limits the blood.
@@ -305,25 +339,24 @@ const INJECTED: [Injected; 4] = [
     },
 ];
 
-fn injected_faults() -> anyhow::Result<Vec<Experiment>> {
-    let mut experiments = Vec::new();
-    for Injected { task, what, expected, written, inject, breaks_gate } in INJECTED {
-        let mut scene = scene_of(task)?;
-        if let Some([before, after]) = written {
-            ensure!(scene.text.contains(before), "{task}: its scene has no {before}");
-            scene = Scene::parse(&scene.text.replace(before, after))?;
-        }
-        inject(&mut scene);
-        let played = play(scene)?;
-        let result = &played.result;
-        let (found, others): (Vec<_>, Vec<_>) = result.moments.iter().partition(|m| m.fault == expected);
-        let named = |claim: &str| format!("{task}, {what}: {claim}");
-        experiments.push(Experiment::within(&named("found"), OWN, found.len() as f64, [1.0, 1.0]));
-        experiments.push(Experiment::at_most(&named("others found"), OWN, others.len() as f64, 0.0));
-        let passes = f64::from(u8::from(result.gate.iter().all(|line| line.is_kept) == breaks_gate));
-        experiments.push(Experiment::at_most(&named("the gate says something else"), OWN, passes, 0.0));
+fn of_injected(injected: &Injected) -> Part {
+    let Injected { task, what, expected, written, inject, breaks_gate } = injected;
+    let mut scene = scene_of(task)?;
+    if let Some([before, after]) = written {
+        ensure!(scene.text.contains(before), "{task}: its scene has no {before}");
+        scene = Scene::parse(&scene.text.replace(before, after))?;
     }
-    Ok(experiments)
+    inject(&mut scene);
+    let played = play(scene)?;
+    let result = &played.result;
+    let (found, others): (Vec<_>, Vec<_>) = result.moments.iter().partition(|m| m.fault == *expected);
+    let named = |claim: &str| format!("{task}, {what}: {claim}");
+    let passes = f64::from(u8::from(result.gate.iter().all(|line| line.is_kept) == *breaks_gate));
+    Ok(vec![
+        Experiment::within(&named("found"), OWN, found.len() as f64, [1.0, 1.0]),
+        Experiment::at_most(&named("others found"), OWN, others.len() as f64, 0.0),
+        Experiment::at_most(&named("the gate says something else"), OWN, passes, 0.0),
+    ])
 }
 
 fn moved_to(tool: ToolInput, tip_in_world_m: DVec3) -> ToolInput {

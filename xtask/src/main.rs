@@ -11,6 +11,7 @@ mod metrics;
 mod netns;
 mod network;
 mod peers;
+mod python;
 mod ros2;
 mod served;
 mod setup;
@@ -80,6 +81,10 @@ enum Task {
     Images,
     /// The metrics of smoothness against monalysa, which it installs into a folder of its own; `test` does it, too
     Metrics,
+    /// The Python package: builds its module with the release program and runs its tests; `test` does it, too
+    Python,
+    /// Make the Python package's wheel, and try it in a clean environment of each Python that is found (3.10 to 3.14)
+    Wheel,
     /// Fetch the real CT that the tests use into data/ct (nothing of it enters the repository)
     FetchCt,
 }
@@ -206,6 +211,11 @@ fn main() -> anyhow::Result<()> {
             images::check(&images::install()?, true)
         }
         Task::Metrics => metrics::check(&metrics::install()?),
+        Task::Python => {
+            python::build()?;
+            python::check(&python::install()?)
+        }
+        Task::Wheel => python::wheel(),
         Task::Peers { sizes, seconds } => peers::measure(&sizes, seconds),
         Task::FetchCt => {
             let folder = ct::fetch()?;

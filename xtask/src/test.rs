@@ -1,7 +1,7 @@
 //! `cargo xtask test`: every check, in the order of how soon it can fail.
 
 use crate::served::Served;
-use crate::{build_program, ct, images, metrics, program, root, run, run_in, setup};
+use crate::{ct, images, metrics, program, python, root, run, run_in, setup};
 use anyhow::Context;
 use std::ffi::OsStr;
 use std::path::Path;
@@ -78,20 +78,23 @@ pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
     stages.run("documentation's examples", || {
         run("cargo", &["test", "--doc", "--workspace", "--locked", "--features", NET])
     })?;
-    stages.run("release build", build_program)?;
+    stages.run("release build", python::build)?;
     stages.run("full-size tests", || {
         tests(&[
             "--release",
             "--package",
             "glisson-cli",
+            "--package",
+            "glisson-py",
             "--features",
-            "full-size-tests",
+            "glisson-cli/full-size-tests",
             "--test",
             "full_size",
         ])
     })?;
     // With programs that are fetched: without a network there is nothing to compare with.
-    let comparisons: [(&str, Install, Compare); 2] = [
+    let comparisons: [(&str, Install, Compare); 3] = [
+        ("the Python package", python::install, python::check),
         ("image files against other programs", images::install, |python| images::check(python, false)),
         ("metrics against another program", metrics::install, metrics::check),
     ];

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates, each of which may use those before it.
-const CRATES: [&str; 9] = [
+const CRATES: [&str; 10] = [
     "glisson-mesh",
     "glisson-tissue",
     "glisson",
@@ -16,6 +16,7 @@ const CRATES: [&str; 9] = [
     "glisson-view",
     "glisson-lab",
     "glisson-cli",
+    "glisson-py",
 ];
 
 /// The examples stand last, in a folder of their own: they use these crates, as a user would, and no crate uses them.

@@ -2,12 +2,14 @@
 
 mod guard;
 mod keeping;
+mod saving;
 mod events;
 mod scripted;
 mod turning;
 
 pub use guard::Broken;
 pub(crate) use guard::panic_text;
+pub use saving::{CannotSave, SavedSimulation};
 pub use turning::{ParameterState, Parameters, Turn};
 
 use crate::incidents::{Incidents, Notice, Notices, Once};
@@ -345,7 +347,7 @@ impl Simulation {
     }
 
     /// Everything back to rest.
-    pub(crate) fn reset(&mut self) -> anyhow::Result<()> {
+    pub fn reset(&mut self) -> anyhow::Result<()> {
         self.guarded(|simulation| {
             simulation.record(&SessionEvent::Reset { step: simulation.world.steps_made() });
             simulation.script = None;
@@ -367,7 +369,7 @@ impl Simulation {
     }
 
     /// Gravity from now on.
-    pub(crate) fn set_gravity(&mut self, gravity_m_per_s2: DVec3) -> anyhow::Result<()> {
+    pub fn set_gravity(&mut self, gravity_m_per_s2: DVec3) -> anyhow::Result<()> {
         self.guarded(|simulation| simulation.set_gravity_or_after_jerk(gravity_m_per_s2))
     }
 
@@ -454,7 +456,7 @@ impl Simulation {
     }
 
     /// Takes the last cut back, if there is one that can be.
-    pub(crate) fn undo_edit(&mut self) -> anyhow::Result<()> {
+    pub fn undo_edit(&mut self) -> anyhow::Result<()> {
         self.guarded(|simulation| simulation.undo_edit_now())
     }
 

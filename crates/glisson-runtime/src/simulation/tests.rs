@@ -562,3 +562,56 @@ fn notes_are_kept_and_change_nothing() {
     simulation.note(Note::Bookmark { time_s: 0.0, text: String::new() });
     assert!(simulation.notices().iter().any(|notice| notice.text.contains("--record")));
 }
+
+/// The same body, in which a place is to be touched.
+fn scene_with_task() -> String {
+    let task = "[task]\ntitle = \"Touch it\"\n[[task.stage]]\ntitle = \"Touch\"\nhold = \"0.1 s\"\ntouch = { tool = \"tool\" }\n";
+    SCENE.replace("[tool]\n", "[tool]\nname = \"tool\"\n") + task
+}
+
+#[test]
+fn a_saved_moment_comes_back_with_its_task_and_its_cuts() {
+    let folder = scene_folder();
+    std::fs::write(folder.path().join("scene.toml"), scene_with_task()).unwrap();
+    let open = || {
+        let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+        Simulation::open(source, None).unwrap()
+    };
+    let status = |simulation: &Simulation| simulation.task().unwrap().status();
+    let mut simulation = open();
+    (0..120).for_each(|step| assert!(simulation.advance(&input(step)).is_ok()));
+    let (saved, before) = (simulation.save().unwrap(), status(&simulation));
+    let go_on = |simulation: &mut Simulation| {
+        simulation.remove_tetrahedra(vec![TetId(1)]).unwrap();
+        (120..240).for_each(|step| assert!(simulation.advance(&input(step)).is_ok()));
+        (simulation.world().state_hash(), status(simulation), simulation.task().unwrap().record().result())
+    };
+    let end = go_on(&mut simulation);
+    assert_ne!(end.1, before);
+    for _ in 0..2 {
+        simulation.restore(&saved).unwrap();
+        assert_eq!(status(&simulation), before);
+        assert_eq!(go_on(&mut simulation), end);
+    }
+    // Another world of the same scene comes to the same moment.
+    let mut other = open();
+    other.restore(&saved).unwrap();
+    assert_eq!(go_on(&mut other), end);
+}
+
+#[test]
+fn what_cannot_go_back_says_why() {
+    let folder = scene_folder();
+    let source = || OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+    let saved = Simulation::open(source(), None).unwrap().save().unwrap();
+    let mut recorded = Simulation::open(source(), Some(&folder.path().join("session.jsonl"))).unwrap();
+    assert_eq!(recorded.save().err(), Some(CannotSave::Recorded));
+    assert_eq!(recorded.restore(&saved).err(), Some(CannotSave::Recorded));
+    let mut ordered = Simulation::open(source(), None).unwrap();
+    ordered.order_model(ModelKind::Precomputed, 10).unwrap();
+    assert_eq!(ordered.save().err(), Some(CannotSave::ModelOrdered));
+    // What was ordered is forgotten with the moment that it was ordered in.
+    ordered.restore(&saved).unwrap();
+    (0..20).for_each(|step| assert!(ordered.advance(&input(step)).is_ok()));
+    assert_eq!(ordered.world().model_kind(), ModelKind::TensorMass);
+}

@@ -408,15 +408,7 @@ pub fn tool_on_path(home: ToolInput, path: &[PathPoint], time_s: f64) -> ToolInp
     for point in path {
         if time_s < point.time_s {
             let t = (time_s - before.time_s) / (point.time_s - before.time_s);
-            let (a, b) = (before.tool, point.tool);
-            let between = |a: f64, b: f64| a + (b - a) * t;
-            return ToolInput {
-                tip_in_world_m: a.tip_in_world_m.lerp(b.tip_in_world_m, t),
-                shaft_in_world: a.shaft_in_world.lerp(b.shaft_in_world, t).normalize_or(b.shaft_in_world),
-                roll_rad: between(a.roll_rad, b.roll_rad),
-                jaw_opening: between(a.jaw_opening, b.jaw_opening),
-                trigger: between(a.trigger, b.trigger),
-            };
+            return before.tool.towards(&point.tool, t);
         }
         before = *point;
     }

@@ -254,6 +254,20 @@ impl ToolInput {
         self.trigger > TRIGGER_PRESSED
     }
 
+    /// On the straight way to another pose, at a share of it.
+    #[must_use]
+    pub fn towards(&self, to: &Self, share: f64) -> Self {
+        let between = |from: f64, to: f64| from + (to - from) * share;
+        let shaft = self.shaft_in_world.lerp(to.shaft_in_world, share);
+        Self {
+            tip_in_world_m: self.tip_in_world_m.lerp(to.tip_in_world_m, share),
+            shaft_in_world: shaft.normalize_or(to.shaft_in_world),
+            roll_rad: between(self.roll_rad, to.roll_rad),
+            jaw_opening: between(self.jaw_opening, to.jaw_opening),
+            trigger: between(self.trigger, to.trigger),
+        }
+    }
+
     /// The pose of a tool that goes through a trocar, its tip inside: its shaft points there. A tip in the trocar itself keeps
     /// its shaft. For places that are chosen; what a hand asks for goes through [`Tool::held`].
     #[must_use]

@@ -24,7 +24,7 @@ pub struct StrainReading {
     pub beyond_m2: f64,
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Triangle {
     vertices: [u32; 3],
     nodes: [NodeId; 3],
@@ -34,7 +34,7 @@ struct Triangle {
 }
 
 /// The skin at rest.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct SurfaceStrain {
     triangles: Vec<Triangle>,
     /// Of each vertex three times its area [m2], and the sum of strain times area.

@@ -99,7 +99,7 @@ struct Since {
 }
 
 /// Takes a trace of a world, step by step. Nothing that it does changes the world.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct TraceRecorder {
     trace: Trace,
     steps_per_sample: u64,

@@ -169,7 +169,7 @@ pub struct TaskStatus {
 const BEGINS_M: f64 = 1e-3;
 
 /// A task that is being done. It begins when an instrument moves.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct TaskRun {
     source: TaskSource,
     /// Where the tips were before it began [m].

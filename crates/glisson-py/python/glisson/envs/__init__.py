@@ -1,0 +1,63 @@
+"""Environments for learning, with the API of Gymnasium (https://gymnasium.farama.org).
+
+One world::
+
+    env = glisson.envs.make("TissueRetraction")            # a gymnasium.Env
+
+Many, stepped on all cores::
+
+    envs = glisson.envs.make_vec("TissueRetraction", 64)   # a gymnasium.vector.VectorEnv
+
+Both are also registered: ``gymnasium.make("glisson/TissueRetraction-v0")``. What a task observes, and what it is rewarded by, is in its
+``observation_names`` and ``reward_weights``. The same seeds give the same episodes at any number of threads.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+
+from glisson.envs.palpation import Palpation
+from glisson.envs.single import TissueEnv
+from glisson.envs.task import EpisodeTask
+from glisson.envs.tissue_retraction import TissueRetraction
+from glisson.envs.vector import TissueVectorEnv
+
+TASKS: dict[str, type[EpisodeTask]] = {task.__name__: task for task in (TissueRetraction, Palpation)}
+
+__all__ = ["TASKS", "EpisodeTask", "Palpation", "TissueEnv", "TissueRetraction", "TissueVectorEnv", "make", "make_vec"]
+
+
+def _task(name: str, options: dict[str, Any]) -> EpisodeTask:
+    try:
+        kind = TASKS[name]
+    except KeyError:
+        raise ValueError(f'there is no environment "{name}"; there are: {", ".join(TASKS)}') from None
+    return kind(**options)
+
+
+def make(name: str, *, render_mode: str | None = None, **options: Any) -> TissueEnv:
+    """An environment of one world; ``options`` are those of its task."""
+    return TissueEnv(_task(name, options), render_mode=render_mode)
+
+
+def make_vec(
+    name: str,
+    num_envs: int,
+    *,
+    threads: int | None = None,
+    autoreset_mode: gymnasium.vector.AutoresetMode = gymnasium.vector.AutoresetMode.NEXT_STEP,
+    **options: Any,
+) -> TissueVectorEnv:
+    """So many environments, stepped on ``threads`` threads (all cores, if not given)."""
+    return TissueVectorEnv(_task(name, options), num_envs, threads=threads, autoreset_mode=autoreset_mode)
+
+
+for _name in TASKS:
+    gymnasium.register(
+        id=f"glisson/{_name}-v0",
+        entry_point="glisson.envs:make",
+        vector_entry_point="glisson.envs:make_vec",
+        kwargs={"name": _name},
+    )

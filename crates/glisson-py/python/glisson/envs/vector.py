@@ -1,0 +1,202 @@
+"""Many environments at once, stepped on threads without Python's lock."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from glisson import Worlds
+from glisson.envs.task import EpisodeTask, Episodes, Floats, Seen
+
+
+class Stepped(NamedTuple):
+    """What came of a step, each (environments,)."""
+
+    rewards: Floats
+    terms: dict[str, Floats]
+    #: Which have reached their goal.
+    reached: NDArray[np.bool_]
+    #: Which are over, and which were cut off after their most steps.
+    over: NDArray[np.bool_]
+    cut_off: NDArray[np.bool_]
+
+
+class EpisodeBatch:
+    """The episodes of a task in many worlds: what environments of one world and of many share."""
+
+    def __init__(self, task: EpisodeTask, num_envs: int, threads: int | None) -> None:
+        if num_envs < 1:
+            raise ValueError(f"num_envs is {num_envs}; give 1 or more")
+        scenes = task.scenes()
+        self.task, self.n, self.n_variants = task, num_envs, len(scenes)
+        self._worlds: Worlds | None = Worlds(scenes * num_envs, threads=threads)
+        self._worlds.track(task.tracked_at_rest_m())
+        time_step_s = scenes[0].time_step_s
+        self.steps_per_action = max(1, round(1.0 / (task.control_rate_hz * time_step_s)))
+        # The world of each environment.
+        self.active = np.arange(num_envs) * self.n_variants
+        self.randoms = [np.random.default_rng() for _ in range(num_envs)]
+        self.episodes = Episodes(np.zeros((num_envs, 9)), {}, np.zeros(num_envs, dtype=np.int64))
+        self.seen: Seen
+        #: What is observed now.
+        self.observed: NDArray[np.float32]
+        n_seen, n_actions = len(task.observation_names), len(task.action_names)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (n_seen,), np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
+
+    @property
+    def worlds(self) -> Worlds:
+        if self._worlds is None:
+            raise RuntimeError("this environment was closed: make another one")
+        return self._worlds
+
+    def close(self) -> None:
+        self._worlds = None
+
+    def seed(self, seeds: list[int | None]) -> None:
+        for i, seed in enumerate(seeds):
+            if seed is not None:
+                self.randoms[i] = np.random.default_rng(seed)
+
+    def begin(self, which: NDArray[np.bool_]) -> None:
+        """New episodes in some environments."""
+        numbers = np.flatnonzero(which)
+        if numbers.size == 0:
+            return
+        for i in numbers:
+            variant = int(self.randoms[i].integers(self.n_variants))
+            hand, goals = self.task.begin(self.randoms[i], variant)
+            self.active[i] = i * self.n_variants + variant
+            self.episodes.hands[i] = hand
+            for name, goal in goals.items():
+                kept = self.episodes.goals.setdefault(name, np.zeros((self.n, *np.shape(goal))))
+                kept[i] = goal
+        self.episodes.steps[numbers] = 0
+        places = self.active[numbers].tolist()
+        self.worlds.restart(places)
+        poses = self.worlds.poses[places]
+        poses[:, 0] = self.episodes.hands[numbers]
+        self.worlds.place(poses, places)
+        self._look(which)
+
+    def _look(self, fresh: NDArray[np.bool_]) -> None:
+        worlds, active = self.worlds, self.active
+        self.seen = Seen(worlds.poses[active], worlds.forces_n[active], worlds.n_held[active], worlds.tracked_m[active])
+        self.task.remember(self.episodes, self.seen, fresh)
+        self.observed = self.task.observe(self.episodes, self.seen).astype(np.float32)
+
+    def step(self, actions: NDArray[Any], which: NDArray[np.bool_]) -> Stepped:
+        """A step in some environments."""
+        actions = np.asarray(actions, dtype=np.float64)
+        expected = (self.n, len(self.task.action_names))
+        if actions.shape != expected:
+            raise ValueError(f"actions have the shape {actions.shape}, and {expected} is expected: {', '.join(self.task.action_names)}")
+        if not np.isfinite(actions).all():
+            raise ValueError("an action is not finite")
+        actions = np.clip(actions, -1.0, 1.0)
+        wanted = self.task.move(self.episodes, actions)
+        self.episodes.hands[which] = wanted[which]
+        places = self.active[which].tolist()
+        if places:
+            poses = self.worlds.poses[places]
+            poses[:, 0] = self.episodes.hands[which]
+            self.worlds.step(poses, self.steps_per_action, places)
+        self.episodes.steps[which] += 1
+        self._look(np.zeros(self.n, dtype=bool))
+        terms, reached, over = self.task.terms(self.episodes, self.seen, actions)
+        rewards = sum((self.task.reward_weights[name] * term for name, term in terms.items()), start=np.zeros(self.n))
+        cut_off = ~over & (self.episodes.steps >= self.task.most_steps)
+        return Stepped(rewards, terms, reached, over, cut_off)
+
+    def scripted_actions(self) -> Floats:
+        """What who knows all would do now."""
+        return np.clip(self.task.scripted(self.episodes, self.seen), -1.0, 1.0)
+
+
+class TissueVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+    """Many environments of a task (gymnasium.vector.VectorEnv)."""
+
+    def __init__(
+        self,
+        task: EpisodeTask,
+        num_envs: int,
+        *,
+        threads: int | None = None,
+        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+    ) -> None:
+        self.batch = EpisodeBatch(task, num_envs, threads)
+        self.num_envs = num_envs
+        self.metadata = {"autoreset_mode": AutoresetMode(autoreset_mode), "render_modes": []}
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.single_observation_space = self.batch.observation_space
+        self.single_action_space = self.batch.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._over = np.zeros(num_envs, dtype=bool)
+        self._begun = False
+
+    def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """New episodes in all environments, or in those of ``options={"reset_mask": ...}``."""
+        if isinstance(seed, (int, np.integer)):
+            seed = [int(seed) + i for i in range(self.num_envs)]
+        if seed is not None:
+            if len(seed) != self.num_envs:
+                raise ValueError(f"{len(seed)} seeds for {self.num_envs} environments")
+            self.batch.seed(list(seed))
+        which = np.ones(self.num_envs, dtype=bool)
+        if options is not None and "reset_mask" in options:
+            which = np.asarray(options["reset_mask"])
+            if which.dtype != np.bool_ or which.shape != (self.num_envs,):
+                raise ValueError(f"reset_mask is an array of {self.num_envs} booleans")
+            if not self._begun and not which.all():
+                raise ValueError("the first reset is one of all environments")
+        self.batch.begin(which)
+        self._over[which] = False
+        self._begun = True
+        return self.batch.observed.copy(), {}
+
+    def step(self, actions: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """A step in all environments; what becomes of those whose episode is over says ``autoreset_mode``."""
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("call reset before the first step")
+        over = self._over.copy()
+        if self.autoreset_mode == AutoresetMode.DISABLED and over.any():
+            raise gymnasium.error.ResetNeeded(f"the episodes of {np.flatnonzero(over).tolist()} are over: reset them with options={{'reset_mask': ...}}")
+        going = ~over
+        rewards, terms, reached, done, cut_off = self.batch.step(actions, going)
+        rewards[over], done[over], cut_off[over] = 0.0, False, False
+        infos: dict[str, Any] = {}
+        for name, term in terms.items():
+            self._add(infos, f"reward_{name}", term, going)
+        self._add(infos, "is_success", reached & going, going)
+        self._over = done | cut_off
+        if self.autoreset_mode == AutoresetMode.NEXT_STEP:
+            self.batch.begin(over)
+        elif self.autoreset_mode == AutoresetMode.SAME_STEP and self._over.any():
+            final = np.full(self.num_envs, None, dtype=object)
+            for i in np.flatnonzero(self._over):
+                final[i] = self.batch.observed[i].copy()
+            ended = self._over.copy()
+            final_info = {key: value.copy() for key, value in infos.items() if not key.startswith("_")}
+            final_info |= {f"_{key}": ended for key in final_info}
+            self._add(infos, "final_obs", final, ended)
+            infos["final_info"], infos["_final_info"] = final_info, ended
+            self.batch.begin(ended)
+            self._over[:] = False
+        return self.batch.observed.copy(), rewards, done, cut_off, infos
+
+    @staticmethod
+    def _add(infos: dict[str, Any], name: str, values: NDArray[Any], which: NDArray[np.bool_]) -> None:
+        infos[name], infos[f"_{name}"] = values, which.copy()
+
+    def scripted_actions(self) -> NDArray[np.float32]:
+        """What who knows all would do now: a demonstration."""
+        return self.batch.scripted_actions().astype(np.float32)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        self.batch.close()

@@ -1,0 +1,35 @@
+//! Glisson for Python.
+//!
+//! ```text
+//! Scene (a file, a text, a task) -> World (one) or Worlds (many, on threads): steps without the GIL
+//!                                -> arrays: copies that belong to Python, read-only
+//! ```
+//!
+//! What Python code needs beyond that is Python itself (`python/glisson`): environments for learning, the viewer.
+
+#![expect(clippy::needless_pass_by_value, reason = "what Python gives is taken by value")]
+
+mod arrays;
+mod errors;
+mod runner;
+mod scene;
+mod world;
+mod worlds;
+
+use pyo3::prelude::*;
+
+/// The native part of the package `glisson`.
+#[pymodule]
+fn _glisson(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add("MAX_TOOLS", glisson::tool::MAX_TOOLS)?;
+    module.add("POSE_LENGTH", arrays::POSE_LENGTH)?;
+    module.add("SceneError", module.py().get_type::<errors::SceneError>())?;
+    module.add("SimulationError", module.py().get_type::<errors::SimulationError>())?;
+    module.add_class::<scene::PyScene>()?;
+    module.add_class::<world::PyWorld>()?;
+    module.add_class::<world::PySaved>()?;
+    module.add_class::<worlds::PyWorlds>()?;
+    module.add_function(wrap_pyfunction!(scene::task_names, module)?)?;
+    Ok(())
+}

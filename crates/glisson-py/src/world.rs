@@ -1,0 +1,363 @@
+//! One world.
+
+use crate::arrays::{POSE_LENGTH, flat, numbers_of, poses_of, read_only};
+use crate::errors::{SimulationError, of_scene, of_simulation};
+use crate::runner::{Runner, Saved};
+use crate::scene::PyScene;
+use glisson::mesh::TetId;
+use glisson::record::snapshot::ContactPoints;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArrayDyn};
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError, TryLockError};
+
+/// A world in time: an organ or several, instruments, perhaps a task.
+///
+/// Arrays are copies of what is now, and belong to you: they stay as they are when the world goes on.
+#[pyclass(name = "World", module = "glisson", frozen)]
+pub(crate) struct PyWorld {
+    /// None when it was closed.
+    runner: Mutex<Option<Runner>>,
+    scene: Py<PyScene>,
+}
+
+/// A moment of a world, to come back to with `World.restore`.
+#[pyclass(name = "Saved", module = "glisson", frozen)]
+pub(crate) struct PySaved {
+    /// A model may not be looked at from two threads.
+    saved: Mutex<Saved>,
+}
+
+impl PyWorld {
+    /// Does something with the world, without the GIL.
+    fn with<T: Send>(
+        &self,
+        py: Python<'_>,
+        act: impl FnOnce(&mut Runner) -> anyhow::Result<T> + Send,
+    ) -> PyResult<T> {
+        py.detach(|| {
+            let mut runner = match self.runner.try_lock() {
+                Ok(runner) => runner,
+                Err(TryLockError::WouldBlock) => {
+                    let words = "another thread is using this world: give each thread a world of its own, or use glisson.Worlds";
+                    return Err(SimulationError::new_err(words));
+                }
+                Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            };
+            match runner.as_mut() {
+                Some(runner) => act(runner).map_err(|error| of_simulation(&error)),
+                None => Err(SimulationError::new_err("this world was closed: make another one of its scene")),
+            }
+        })
+    }
+
+    /// Looks at the world.
+    fn look<T: Send>(&self, py: Python<'_>, see: impl FnOnce(&Runner) -> T + Send) -> PyResult<T> {
+        self.with(py, |runner| Ok(see(runner)))
+    }
+
+    fn vectors(
+        &self,
+        py: Python<'_>,
+        see: impl FnOnce(&Runner) -> Vec<f64> + Send,
+        width: usize,
+    ) -> PyResult<Py<PyArray2<f64>>> {
+        let values = self.look(py, see)?;
+        Ok(read_only(py, values, width)?.unbind())
+    }
+
+    fn json(&self, py: Python<'_>, text: Option<String>) -> PyResult<Py<PyAny>> {
+        match text {
+            Some(text) => Ok(py.import("json")?.call_method1("loads", (text,))?.unbind()),
+            None => Ok(py.None()),
+        }
+    }
+}
+
+fn number_of_tool(tool: usize, runner: &Runner) -> anyhow::Result<()> {
+    let n_tools = runner.world().tools().len();
+    anyhow::ensure!(tool < n_tools, "there is no instrument {tool}: the scene has {n_tools}, counted from 0");
+    Ok(())
+}
+
+#[pymethods]
+impl PyWorld {
+    /// A world at rest, its instruments at home. With `record` the session is written there; it is whole after `close`.
+    /// `threads` are those of models that can use several: the bits do not depend on it.
+    #[new]
+    #[pyo3(signature = (scene, *, threads = 1, record = None))]
+    fn new(py: Python<'_>, scene: Py<PyScene>, threads: usize, record: Option<PathBuf>) -> PyResult<Self> {
+        if threads == 0 {
+            return Err(PyValueError::new_err("threads is 0; give 1 or more"));
+        }
+        let to_open = scene.get().to_open(threads);
+        let runner = py.detach(|| Runner::open(to_open, record.as_deref()));
+        let runner = runner.map_err(|error| of_scene(&error))?;
+        Ok(Self { runner: Mutex::new(Some(runner)), scene })
+    }
+
+    /// What the world was made from.
+    #[getter]
+    fn scene(&self, py: Python<'_>) -> Py<PyScene> {
+        self.scene.clone_ref(py)
+    }
+
+    /// Makes `n` steps, in which the hands go straight from where they are to `poses`, an array of shape (instruments, 9) in m and rad:
+    /// tip (3), shaft from the tip towards the handle (3), roll, jaws (0 closed to 1 open), trigger (0 to 1). Without `poses` they stay.
+    #[pyo3(signature = (n = 1, poses = None))]
+    fn step(&self, py: Python<'_>, n: u32, poses: Option<PyReadonlyArrayDyn<'_, f64>>) -> PyResult<()> {
+        let n_tools = self.scene.get().parsed().world.tools.len();
+        let wanted = poses.map(|poses| poses_of(&poses, (None, n_tools))).transpose()?;
+        self.with(py, |runner| runner.step(n, wanted.as_ref().map(|poses| &poses[0][..])))
+    }
+
+    /// Makes a step with the hands put to `poses`, without touching anything on the way.
+    fn place(&self, py: Python<'_>, poses: PyReadonlyArrayDyn<'_, f64>) -> PyResult<()> {
+        let n_tools = self.scene.get().parsed().world.tools.len();
+        let poses = poses_of(&poses, (None, n_tools))?;
+        self.with(py, |runner| runner.place(&poses[0]))
+    }
+
+    /// Everything goes back to rest, and the task begins anew. What was cut stays cut: `restore` brings that back.
+    fn reset(&self, py: Python<'_>) -> PyResult<()> {
+        self.with(py, Runner::reset)
+    }
+
+    /// This moment, to come back to. Edits before it cannot be undone after coming back.
+    fn save(&self, py: Python<'_>) -> PyResult<PySaved> {
+        Ok(PySaved { saved: Mutex::new(self.with(py, |runner| runner.save())?) })
+    }
+
+    /// Comes back to a saved moment of a world of the same scene, to the bit.
+    fn restore(&self, py: Python<'_>, saved: &Bound<'_, PySaved>) -> PyResult<()> {
+        let saved = &saved.get().saved;
+        self.with(py, |runner| runner.restore(&saved.lock().unwrap_or_else(PoisonError::into_inner)))
+    }
+
+    /// Hash of everything that the next steps depend on, 64 hexadecimal digits.
+    fn hash(&self, py: Python<'_>) -> PyResult<String> {
+        self.look(py, |runner| runner.world().state_hash().to_string())
+    }
+
+    /// Ends it, and its session if one is recorded; answers the hash of the end.
+    fn close(&self, py: Python<'_>) -> PyResult<Option<String>> {
+        py.detach(|| {
+            let taken = match self.runner.try_lock() {
+                Ok(mut runner) => runner.take(),
+                Err(TryLockError::WouldBlock) => {
+                    return Err(SimulationError::new_err(
+                        "another thread is using this world: it cannot be closed",
+                    ));
+                }
+                Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner().take(),
+            };
+            let Some(runner) = taken else { return Ok(None) };
+            let hash = runner.simulation.finish().map_err(|error| of_simulation(&error))?;
+            Ok(Some(hash.to_string()))
+        })
+    }
+
+    /// Takes tetrahedra out, by their numbers.
+    fn remove(&self, py: Python<'_>, tetrahedra: Vec<u32>) -> PyResult<()> {
+        self.with(py, |runner| {
+            let n = runner.world().organ().live_tetrahedra().len();
+            if let Some(none) = tetrahedra.iter().find(|number| **number as usize >= n) {
+                anyhow::bail!("there is no tetrahedron {none}: the mesh has {n}, counted from 0");
+            }
+            runner.simulation.remove_tetrahedra(tetrahedra.into_iter().map(TetId).collect())
+        })
+    }
+
+    /// Takes the last cut back, if there is one that can be.
+    fn undo(&self, py: Python<'_>) -> PyResult<()> {
+        self.with(py, |runner| runner.simulation.undo_edit())
+    }
+
+    /// An instrument sets a clip on the vessel nearest to its tip.
+    fn clip(&self, py: Python<'_>, tool: usize) -> PyResult<()> {
+        self.with(py, |runner| {
+            number_of_tool(tool, runner)?;
+            runner.simulation.clip_vessel(tool)
+        })
+    }
+
+    /// Simulated time [s].
+    #[getter]
+    fn time_s(&self, py: Python<'_>) -> PyResult<f64> {
+        self.look(py, |runner| runner.world().time_s())
+    }
+
+    /// Steps made so far.
+    #[getter]
+    fn steps(&self, py: Python<'_>) -> PyResult<u64> {
+        self.look(py, |runner| runner.world().steps_made())
+    }
+
+    /// Counts up with every cut; arrays of nodes and triangles of before have other lengths then.
+    #[getter]
+    fn topology_version(&self, py: Python<'_>) -> PyResult<u32> {
+        self.look(py, |runner| runner.world().organ().topology_version())
+    }
+
+    /// Where all nodes are [m], (nodes, 3).
+    #[getter]
+    fn positions_m(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
+        self.vectors(py, |runner| flat(runner.world().state().positions_m.iter().copied()), 3)
+    }
+
+    /// How fast all nodes move [m/s], (nodes, 3).
+    #[getter]
+    fn velocities_m_per_s(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
+        self.vectors(py, |runner| flat(runner.world().state().velocities_m_per_s.iter().copied()), 3)
+    }
+
+    /// Where all nodes are at rest [m], (nodes, 3).
+    #[getter]
+    fn rest_positions_m(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
+        self.vectors(py, |runner| flat(runner.world().organ().mesh().positions_m.iter().copied()), 3)
+    }
+
+    /// Nodes of all tetrahedra that are not taken out, (tetrahedra, 4).
+    #[getter]
+    fn tetrahedra(&self, py: Python<'_>) -> PyResult<Py<PyArray2<u32>>> {
+        let nodes = self.look(py, |runner| {
+            let organ = runner.world().organ();
+            let all = organ.mesh().tetrahedra.iter().zip(organ.live_tetrahedra());
+            let live = all.filter(|(_, live)| **live).map(|(nodes, _)| nodes);
+            live.flat_map(|nodes| nodes.map(|node| node.0)).collect::<Vec<u32>>()
+        })?;
+        Ok(read_only(py, nodes, 4)?.unbind())
+    }
+
+    /// Nodes of the surface's triangles, counter-clockwise from outside, (triangles, 3).
+    #[getter]
+    fn surface(&self, py: Python<'_>) -> PyResult<Py<PyArray2<u32>>> {
+        let nodes = self.look(py, |runner| {
+            let shown = runner.world().display_topology();
+            let node_of = |vertex: u32| shown.nodes[vertex as usize].0;
+            shown.triangles.iter().flat_map(|triangle| triangle.map(node_of)).collect::<Vec<u32>>()
+        })?;
+        Ok(read_only(py, nodes, 3)?.unbind())
+    }
+
+    /// Where the instruments are, (instruments, 9), as in `step`. A hand gives way: that is not where it was led.
+    #[getter]
+    fn poses(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
+        let poses = |runner: &Runner| {
+            let world = runner.world();
+            (0..world.tools().len()).flat_map(|tool| numbers_of(&world.tool_pose(tool))).collect()
+        };
+        self.vectors(py, poses, POSE_LENGTH)
+    }
+
+    /// Force of the tissue on each instrument [N], (instruments, 3).
+    #[getter]
+    fn forces_n(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
+        let of = |runner: &Runner| flat(reports(runner).iter().map(|tool| tool.force_on_tool_n));
+        self.vectors(py, of, 3)
+    }
+
+    /// Its torque about each tip [N m], (instruments, 3).
+    #[getter]
+    fn torques_n_m(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
+        let of = |runner: &Runner| flat(reports(runner).iter().map(|tool| tool.torque_on_tool_n_m));
+        self.vectors(py, of, 3)
+    }
+
+    /// Nodes that the jaws of each instrument hold, (instruments,).
+    #[getter]
+    fn n_held(&self, py: Python<'_>) -> PyResult<Py<PyArray1<u32>>> {
+        let held = self
+            .look(py, |runner| reports(runner).iter().map(|tool| tool.n_held_nodes).collect::<Vec<u32>>())?;
+        Ok(held.into_pyarray(py).unbind())
+    }
+
+    /// Where surfaces bear forces, the greatest first: places [m], normals, forces on what touches [N], each (contacts, 3), and the
+    /// number of the instrument or body that touches, (contacts,).
+    #[expect(clippy::type_complexity, reason = "four arrays")]
+    fn contacts(
+        &self,
+        py: Python<'_>,
+    ) -> PyResult<(Py<PyArray2<f64>>, Py<PyArray2<f64>>, Py<PyArray2<f64>>, Py<PyArray1<u8>>)> {
+        let points = self.look(py, |runner| {
+            let mut contacts = ContactPoints::default();
+            runner.world().contact_points_into(&mut contacts);
+            contacts.points
+        })?;
+        let array = |values: Vec<f64>| read_only(py, values, 3).map(Bound::unbind);
+        Ok((
+            array(flat(points.iter().map(|point| point.place_m)))?,
+            array(flat(points.iter().map(|point| point.normal)))?,
+            array(flat(points.iter().map(|point| point.force_n)))?,
+            points.iter().map(|point| point.by).collect::<Vec<u8>>().into_pyarray(py).unbind(),
+        ))
+    }
+
+    /// Blood lost so far [m3].
+    #[getter]
+    fn blood_lost_m3(&self, py: Python<'_>) -> PyResult<f64> {
+        self.look(py, |runner| {
+            runner.world().vessels().map_or(0.0, glisson::world::vessels::Vessels::lost_m3)
+        })
+    }
+
+    /// Volume of tissue taken out so far [m3].
+    #[getter]
+    fn removed_volume_m3(&self, py: Python<'_>) -> PyResult<f64> {
+        self.look(py, |runner| runner.world().removed_volume_m3())
+    }
+
+    /// How far the scene's task is, a dictionary (docs/protocol.md, `task`); None without one.
+    #[getter]
+    fn task(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        let text = self.with(py, |runner| {
+            let status = runner.simulation.task().map(|task| serde_json::to_string(&task.status()));
+            Ok(status.transpose()?)
+        })?;
+        self.json(py, text)
+    }
+
+    /// The task's result so far, with its metrics (docs/tasks.md); None without a task.
+    #[getter]
+    fn result(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        let text = self.with(py, |runner| {
+            let task = runner.simulation.task();
+            Ok(task.map(|task| serde_json::to_string(&task.record().result())).transpose()?)
+        })?;
+        self.json(py, text)
+    }
+
+    /// What the simulation told its user, in order: what was refused, what tore.
+    #[getter]
+    fn notices(&self, py: Python<'_>) -> PyResult<Vec<String>> {
+        self.look(py, |runner| runner.simulation.notices().iter().map(|notice| notice.text.clone()).collect())
+    }
+
+    fn __enter__(slf: Bound<'_, Self>) -> Bound<'_, Self> {
+        slf
+    }
+
+    #[pyo3(signature = (*_exception))]
+    fn __exit__(&self, py: Python<'_>, _exception: &Bound<'_, pyo3::types::PyTuple>) -> PyResult<()> {
+        self.close(py).map(|_| ())
+    }
+
+    fn __reduce__(&self) -> PyResult<()> {
+        Err(PyTypeError::new_err(
+            "a world cannot be pickled: pickle its scene (World.scene) and the poses, which lead to the same bits",
+        ))
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let scene = &self.scene.get().parsed().world.name;
+        match self.look(py, |runner| (runner.world().steps_made(), runner.world().time_s())) {
+            Ok((steps, time_s)) => format!("<glisson.World \"{scene}\", step {steps}, {time_s:.3} s>"),
+            Err(_) => format!("<glisson.World \"{scene}\", closed or in use>"),
+        }
+    }
+}
+
+fn reports(runner: &Runner) -> &[glisson::world::ToolReport] {
+    &runner.world().report().tools[..runner.world().tools().len()]
+}

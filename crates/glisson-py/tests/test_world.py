@@ -1,0 +1,245 @@
+"""Scenes and worlds: bits, arrays, edits, and what goes wrong."""
+
+import os
+import pickle
+import subprocess
+import threading
+
+import numpy as np
+import pytest
+
+import glisson
+from conftest import BLOCK, pressed
+
+
+def test_scenes_come_from_files_texts_dictionaries_and_tasks(tmp_path, scene):
+    file = tmp_path / "block.toml"
+    file.write_text(scene.text)
+    for other in (glisson.Scene.load(file), glisson.Scene.parse(scene.text), pickle.loads(pickle.dumps(scene))):
+        assert (other.name, other.tool_names, other.time_step_s) == ("block", ["probe"], 0.002)
+    numpy_scene = {**BLOCK, "tool": [{**BLOCK["tool"][0], "home_shaft": np.array([0.0, -1.0, 0.0])}]}
+    assert glisson.scene_from_dict(numpy_scene).tool_names == ["probe"]
+    assert "palpation" in glisson.task_names()
+    assert glisson.Scene.task("palpation", level="hard", patient=4).name.startswith("Palpation")
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: glisson.Scene.load("nowhere.toml"), "nowhere.toml"),
+        (lambda: glisson.Scene.parse("glisson_scene = 1\norgn = 3"), "orgn"),
+        (lambda: glisson.scene_from_dict({"glisson_scene": 1, "organ": None}), "scene"),
+        (lambda: glisson.Scene.task("palpatoin"), "palpation"),
+        (lambda: glisson.Scene.task("palpation", patient=5), "5"),
+    ],
+)
+def test_a_scene_that_cannot_be_read_says_why(make, words):
+    with pytest.raises(glisson.SceneError, match=words):
+        make()
+
+
+def test_a_dictionary_holds_what_a_scene_file_can(scene):
+    with pytest.raises(TypeError, match="object"):
+        glisson.scene_from_dict({"glisson_scene": object()})
+    with pytest.raises(ValueError):
+        glisson.scene_from_dict({"glisson_scene": float("nan")})
+
+
+def test_pressing_gives_a_force_and_moves_the_tissue(scene):
+    world = glisson.World(scene)
+    assert world.positions_m.shape == world.velocities_m_per_s.shape == world.rest_positions_m.shape
+    assert world.surface.max() < len(world.positions_m) and world.tetrahedra.shape[1] == 4
+    world.step(100, pressed(world))
+    assert world.steps == 100 and world.time_s == pytest.approx(0.2)
+    assert world.forces_n[0, 1] < -0.05, "out of the block, towards the front"
+    moved = np.linalg.norm(world.positions_m - world.rest_positions_m, axis=1)
+    assert 0.002 < moved.max() < 0.006
+    places, normals, forces, tools = world.contacts()
+    assert len(places) == len(normals) == len(forces) == len(tools) > 0
+    np.testing.assert_allclose(forces.sum(axis=0), world.forces_n[0], atol=1e-9)
+
+
+def test_the_same_poses_give_the_same_bits_after_saving_and_at_any_number_of_threads(scene):
+    hashes = []
+    for threads in (1, 2):
+        world = glisson.World(scene, threads=threads)
+        poses = pressed(world)
+        world.step(30, poses)
+        saved = world.save()
+        middle = world.hash()
+        poses[0, 0] += 0.004
+        world.step(30, poses)
+        end = world.hash()
+        # Back into the middle of the contact, twice; the other time from another state.
+        for _ in range(2):
+            world.restore(saved)
+            assert world.hash() == middle
+            world.step(30, poses)
+            assert world.hash() == end
+        other = glisson.World(scene)
+        other.restore(saved)
+        other.step(30, poses)
+        hashes += [end, other.hash()]
+    assert len(set(hashes)) == 1
+
+
+def test_worlds_are_each_as_one_alone_at_any_number_of_threads(scene):
+    depths_m = [0.002, 0.004, 0.006]
+    alone = []
+    for depth_m in depths_m:
+        world = glisson.World(scene)
+        world.step(40, pressed(world, depth_m))
+        alone.append(world.hash())
+    for threads in (1, 2, 3):
+        worlds = glisson.Worlds([scene] * 3, threads=threads)
+        assert len(worlds) == 3 and worlds.threads == threads
+        poses = worlds.poses
+        start = worlds.hashes()
+        for i, depth_m in enumerate(depths_m):
+            poses[i, 0, :3] = [0.0, -0.013 + depth_m, 0.0]
+        worlds.step(poses, 40)
+        assert worlds.hashes() == alone
+        assert (np.diff(np.linalg.norm(worlds.forces_n[:, 0], axis=1)) > 0).all()
+        # Some begin anew, the others stay as they are.
+        worlds.restart([0, 2])
+        assert worlds.hashes() == [start[0], alone[1], start[2]]
+        worlds.step(poses[[2, 0]], 40, [2, 0])
+        assert worlds.hashes() == alone
+
+
+def test_tracked_points_are_those_of_the_surface(scene):
+    worlds = glisson.Worlds([scene] * 2)
+    worlds.track(np.array([[0.0, -0.010, 0.0]]))
+    before_m = worlds.tracked_m
+    poses = worlds.poses
+    poses[1, 0, :3] = [0.0, -0.008, 0.0]
+    worlds.step(poses, 60)
+    moved_m = worlds.tracked_m - before_m
+    assert np.abs(moved_m[0]).max() == 0 and 0.002 < moved_m[1, 0, 1] < 0.006
+
+
+def test_arrays_are_copies_that_nobody_writes_to(scene):
+    world = glisson.World(scene)
+    before = world.positions_m
+    kept = before.copy()
+    with pytest.raises(ValueError):
+        before[0, 0] = 1.0
+    world.step(30, pressed(world))
+    np.testing.assert_array_equal(before, kept)
+    assert not np.array_equal(world.positions_m, kept)
+    world.close()
+    np.testing.assert_array_equal(before, kept)
+
+
+def test_cuts_change_the_topology_and_are_taken_back(scene):
+    world = glisson.World(scene)
+    saved, start = world.save(), world.hash()
+    version, n, volume_m3 = world.topology_version, len(world.tetrahedra), world.removed_volume_m3
+    world.remove([0, 5])
+    assert world.topology_version > version and len(world.tetrahedra) == n - 2
+    assert world.removed_volume_m3 > volume_m3
+    world.step(20, pressed(world))
+    cut = world.hash()
+    world.restore(saved)
+    assert world.hash() == start and len(world.tetrahedra) == n
+    world.remove([0, 5])
+    world.step(20, pressed(world))
+    assert world.hash() == cut
+    world.undo()
+    assert len(world.tetrahedra) == n
+    with pytest.raises(glisson.SimulationError, match="no tetrahedron 100000"):
+        world.remove([100_000])
+
+
+def test_a_recorded_session_replays_to_the_same_bits(tmp_path, scene):
+    session = tmp_path / "session.jsonl"
+    with glisson.World(scene, record=session) as world:
+        world.step(40, pressed(world))
+        with pytest.raises(glisson.SimulationError, match="recorded"):
+            world.save()
+        end = world.hash()
+    assert session.stat().st_size > 1000
+    program = os.environ.get("GLISSON_PROGRAM")
+    if program is None:
+        pytest.skip("GLISSON_PROGRAM is not set (the program glisson)")
+    replayed = subprocess.run([program, "replay", session], capture_output=True, text=True, check=True)
+    assert end in replayed.stdout + replayed.stderr
+
+
+def test_a_task_tells_how_far_it_is():
+    world = glisson.World(glisson.Scene.task("camera_navigation"))
+    assert world.task["n_done"] == 0 and world.task["outcome"] is None
+    assert {"metrics", "stages"} <= set(world.result)
+    assert glisson.World(glisson.scene_from_dict(BLOCK)).task is None
+
+
+def test_poses_of_another_shape_and_numbers_that_are_none_are_refused(scene):
+    world = glisson.World(scene)
+    start = world.hash()
+    good = world.poses
+    bad = {
+        "shape": good[:, :8],
+        "expected": np.zeros((2, 9)),
+        "finite": np.full((1, 9), np.nan),
+        "direction": np.zeros((1, 9)),
+    }
+    for words, poses in bad.items():
+        with pytest.raises(ValueError, match=words):
+            world.step(1, poses)
+    with pytest.raises(TypeError):
+        world.step(1, "here")
+    with pytest.raises(OverflowError):
+        world.step(-1)
+    with pytest.raises(ValueError, match="threads is 0"):
+        glisson.World(scene, threads=0)
+    worlds = glisson.Worlds([scene])
+    with pytest.raises(ValueError, match="no world 1"):
+        worlds.restart([1])
+    with pytest.raises(ValueError, match="twice"):
+        worlds.restart([0, 0])
+    with pytest.raises(ValueError, match="one scene"):
+        glisson.Worlds([])
+    assert world.hash() == start, "nothing was done"
+
+
+def test_a_closed_world_says_so(scene):
+    world = glisson.World(scene)
+    hash_at_end = world.hash()
+    assert world.close() == hash_at_end and world.close() is None
+    for use in (world.step, world.hash, world.save, lambda: world.positions_m):
+        with pytest.raises(glisson.SimulationError, match="closed"):
+            use()
+    assert "closed" in repr(world)
+
+
+def test_worlds_cannot_be_pickled(scene):
+    for it in (glisson.World(scene), glisson.Worlds([scene])):
+        with pytest.raises(TypeError, match="pickle"):
+            pickle.dumps(it)
+
+
+def test_two_threads_cannot_use_one_world_and_neither_waits_for_ever(scene):
+    world = glisson.World(scene)
+    poses, refused, begun = pressed(world), [], threading.Event()
+
+    def step():
+        begun.set()
+        try:
+            world.step(400, poses)
+        except glisson.SimulationError as error:
+            refused.append(str(error))
+
+    thread = threading.Thread(target=step)
+    thread.start()
+    begun.wait()
+    # The lock of Python is free meanwhile: this thread goes on, and is refused until the other one is done.
+    n_refused = 0
+    while thread.is_alive():
+        try:
+            world.steps
+        except glisson.SimulationError as error:
+            assert "another thread" in str(error)
+            n_refused += 1
+    thread.join()
+    assert n_refused > 0 or refused
+    assert world.steps in (0, 400)

@@ -1,0 +1,122 @@
+//! The Python package: its tests, and the wheel that others install.
+
+use crate::{pip_install, program, root, run, run_within, setup, target};
+use anyhow::{Context, ensure};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// What the tests need beside the package.
+const PACKAGES: [&str; 3] = ["numpy==2.2.6", "gymnasium==1.4.0", "pytest==9.0.1"];
+const MATURIN: &str = "maturin==1.16.0";
+/// Where the package lies in the repository.
+const SOURCE: &str = "crates/glisson-py";
+/// How long the tests may take.
+const CHECKING: Duration = Duration::from_secs(600);
+/// How long making a wheel may take: everything is compiled for it.
+const MAKING: Duration = Duration::from_secs(1800);
+/// Pythons that are looked for, the newest first; the first one is the oldest that the package is for.
+const PYTHONS: [&str; 5] = ["python3.14", "python3.13", "python3.12", "python3.11", "python3.10"];
+
+/// Where everything is kept.
+fn folder() -> PathBuf {
+    target().join("python-check")
+}
+
+/// Builds the module and the release program, so that what both need is compiled once.
+pub(crate) fn build() -> anyhow::Result<()> {
+    run("cargo", &["build", "--release", "--locked", "--package", "glisson-cli", "--package", "glisson-py"])
+}
+
+/// Installs what the tests need; answers with the Python that has it.
+pub(crate) fn install() -> anyhow::Result<String> {
+    let python = setup::require(&["python3", "python"], "python3", "checking the Python package")?;
+    let is_enough = ["-c", "import sys; sys.exit(sys.version_info < (3, 10))"];
+    ensure!(run(&python, &is_enough).is_ok(), "the Python package is for Python 3.10 or later: install one");
+    let packages = folder().join("packages");
+    if !packages.join("pytest").exists() {
+        pip_install(&python, &packages.to_string_lossy(), &PACKAGES)?;
+    }
+    Ok(python)
+}
+
+/// Runs the tests on the module that was built with the release program, with the Python of [`install`].
+pub(crate) fn check(python: &str) -> anyhow::Result<()> {
+    let package = folder().join("module").join("glisson");
+    if package.exists() {
+        fs::remove_dir_all(&package).with_context(|| package.display().to_string())?;
+    }
+    copy_folder(&root().join(SOURCE).join("python/glisson"), &package)?;
+    let built = format!("{}_glisson{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
+    let module = target().join("release").join(built);
+    let there = package.join("_glisson.abi3.so");
+    fs::copy(&module, &there).with_context(|| format!("{} to {}", module.display(), there.display()))?;
+    let folders = [folder().join("module"), root().join(target()).join("python-check/packages")];
+    let path = std::env::join_paths(folders.map(|folder| root().join(folder)))?;
+    let words = [
+        format!("PYTHONPATH={}", path.display()),
+        "PYTHONDONTWRITEBYTECODE=1".to_owned(),
+        format!("GLISSON_PROGRAM={}", root().join(program()).display()),
+        python.to_owned(),
+    ];
+    let tests = root().join(SOURCE).join("tests").to_string_lossy().into_owned();
+    let pytest = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "--durations=5", &tests];
+    run_within(CHECKING, "env", &words.iter().map(String::as_str).chain(pytest).collect::<Vec<_>>())
+}
+
+fn copy_folder(from: &Path, to: &Path) -> anyhow::Result<()> {
+    fs::create_dir_all(to).with_context(|| to.display().to_string())?;
+    for entry in fs::read_dir(from).with_context(|| from.display().to_string())? {
+        let entry = entry?;
+        let (path, copy) = (entry.path(), to.join(entry.file_name()));
+        if path.is_dir() && entry.file_name() != "__pycache__" {
+            copy_folder(&path, &copy)?;
+        } else if path.is_file() {
+            fs::copy(&path, &copy).with_context(|| path.display().to_string())?;
+        }
+    }
+    Ok(())
+}
+
+/// Makes the wheel, installs it in a clean environment of each Python that is found, and runs the tests there.
+pub(crate) fn wheel() -> anyhow::Result<()> {
+    let python = setup::require(&["python3", "python"], "python3", "making a wheel")?;
+    let (tools, wheels) = (folder().join("maturin"), root().join(target()).join("wheels"));
+    if !tools.join("maturin").exists() {
+        pip_install(&python, &tools.to_string_lossy(), &[MATURIN])?;
+    }
+    if wheels.exists() {
+        fs::remove_dir_all(&wheels).with_context(|| wheels.display().to_string())?;
+    }
+    let manifest = root().join(SOURCE).join("Cargo.toml");
+    let path = format!("PYTHONPATH={}", root().join(&tools).display());
+    let [manifest, out] = [&manifest, &wheels].map(|path| path.to_string_lossy().into_owned());
+    let maturin =
+        ["-m", "maturin", "build", "--release", "--locked", "--manifest-path", &manifest, "--out", &out];
+    run_within(MAKING, "env", &[&[path.as_str(), &python][..], &maturin].concat())?;
+    let wheel = fs::read_dir(&wheels)?.next().context("maturin made no wheel")??.path();
+    let found: Vec<&str> = PYTHONS.into_iter().filter(|python| setup::is_there(python)).collect();
+    ensure!(!found.is_empty(), "there is none of {}: the wheel is not tried", PYTHONS.join(", "));
+    for python in &found {
+        try_wheel(python, &wheel).with_context(|| format!("the wheel with {python}"))?;
+    }
+    println!("\nmade {}, tried with {}", wheel.display(), found.join(", "));
+    Ok(())
+}
+
+fn try_wheel(python: &str, wheel: &Path) -> anyhow::Result<()> {
+    let environment = root().join(folder()).join(format!("environment-{python}"));
+    if environment.exists() {
+        fs::remove_dir_all(&environment).with_context(|| environment.display().to_string())?;
+    }
+    let [place, wheel] = [&environment, &wheel.to_path_buf()].map(|path| path.to_string_lossy().into_owned());
+    run(python, &["-m", "venv", &place])?;
+    let inside = environment.join("bin/python").to_string_lossy().into_owned();
+    let wanted = [&wheel, "gymnasium", "pytest"];
+    run_within(crate::INSTALLING, &inside, &[&["-m", "pip", "install", "--quiet"], &wanted[..]].concat())?;
+    let import = "import time; a = time.perf_counter(); import glisson; b = time.perf_counter() - a; \
+                  print(f'imported in {1e3 * b:.0f} ms'); assert b < 0.3";
+    run(&inside, &["-c", import])?;
+    let tests = root().join(SOURCE).join("tests").to_string_lossy().into_owned();
+    run_within(CHECKING, &inside, &["-m", "pytest", "-q", "-p", "no:cacheprovider", &tests])
+}

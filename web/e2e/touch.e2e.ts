@@ -1,4 +1,4 @@
-/** A tablet: fingers push, zoom and move, two hands at once, and buttons for what keys do. */
+/** A tablet: fingers push, zoom and move, and buttons do what keys do. Two hands at once are in test/controls.test.ts. */
 import { afterAll, afterEach, beforeAll, beforeEach, describe, expect, it } from "vitest";
 import type { Browser, CDPSession, Page } from "playwright-core";
 import { DIST, resultFile, startBrowser, waitForOrgan } from "./browser";

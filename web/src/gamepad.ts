@@ -31,15 +31,29 @@ export function connectedPads(): Gamepad[] {
   return navigator.getGamepads().filter((pad): pad is Gamepad => pad?.connected === true);
 }
 
-/** What each of some gamepads is kept by: its model, and a number from the second of a model on. */
-export function namesOf(pads: ReadonlyArray<{ readonly id: string }>): string[] {
-  const seen = new Map<string, number>();
-  return pads.map(({ id }) => {
-    const n = (seen.get(id) ?? 0) + 1;
-    seen.set(id, n);
-    return n === 1 ? id : `${id} (${n})`;
-  });
+/** What each gamepad is kept by: its model, and a number from the second one of a model on, which stays as long as it is connected. */
+export class PadNames {
+  private readonly known = new Map<number, { readonly id: string; readonly name: string }>();
+
+  /** The names of all that are connected now. */
+  of(pads: ReadonlyArray<{ readonly id: string; readonly index: number }>): string[] {
+    for (const [index, { id }] of this.known) {
+      if (!pads.some((pad) => pad.index === index && pad.id === id)) this.known.delete(index);
+    }
+    return pads.map(({ id, index }) => {
+      const taken = new Set([...this.known.values()].map(({ name }) => name));
+      let n = 1;
+      const named = (): string => (n === 1 ? id : `${id} (${n})`);
+      while (taken.has(named())) n += 1;
+      const name = this.known.get(index)?.name ?? named();
+      this.known.set(index, { id, name });
+      return name;
+    });
+  }
 }
+
+/** Those of this page. */
+export const padNames = new PadNames();
 
 /** Looks at all gamepads once a frame for as long as there is one. */
 export class GamepadInput {
@@ -82,7 +96,7 @@ export class GamepadInput {
     const dt_s = Math.min(0.1, Math.max(0, (now_ms - (this.last_ms ?? now_ms)) / 1000));
     this.last_ms = now_ms;
     for (const index of this.known.keys()) if (!pads.some((pad) => pad.index === index)) this.known.delete(index);
-    const names = namesOf(pads);
+    const names = padNames.of(pads);
     pads.forEach((pad, i) => this.read(pad, names[i], dt_s, now_ms));
     requestAnimationFrame((next_ms) => this.frame(next_ms));
   }

@@ -17,6 +17,8 @@ export interface MotionEvents {
   moved(): void;
   /** The view from outside should be another. */
   viewed(orbit: Orbit): void;
+  /** Whether this page may move an instrument without taking it from anybody. */
+  mayMove(tool: number): boolean;
 }
 
 export class HandMotion {
@@ -40,7 +42,7 @@ export class HandMotion {
 
   /** With the instrument in the hand, or the one beside it. */
   pushBegin(x: number, y: number, hand: PushHand): boolean {
-    const tool = hand === "first" ? this.hands.chosen : this.hands.second;
+    const tool = hand === "first" ? this.hands.chosen : this.hands.second((other) => this.events.mayMove(other));
     const start = tool === null ? null : this.pushStart(x, y, tool);
     if (tool === null || start === null) return false;
     this.pushing[hand] = tool;

@@ -45,11 +45,16 @@ export class Hands {
     return this.hands[this.chosen].driver;
   }
 
-  /** The instrument of a second pointer: the next one after that in the hand that is no endoscope; null if there is none. */
-  get second(): number | null {
+  /** The instrument of a second pointer: the next one after that in the hand that is no endoscope and may be moved; null if there is none. */
+  second(mayMove: (tool: number) => boolean): number | null {
     const n = this.hands.length;
     const others = Array.from({ length: n - 1 }, (_, i) => (this.chosen + 1 + i) % n);
-    return others.find((tool) => !this.looks[tool]) ?? null;
+    return others.find((tool) => !this.looks[tool] && mayMove(tool)) ?? null;
+  }
+
+  /** Whether some hand pushes. */
+  get pushing(): boolean {
+    return this.hands.some(({ driver }) => driver.pushing);
   }
 
   /** How that in the hand is asked to be. */

@@ -18,6 +18,13 @@ export interface Role {
 const HOLDERS = ["controller", "offered", "this", "another"] as const;
 export type Holder = (typeof HOLDERS)[number];
 
+/** Whether this page may move an instrument without taking control from anybody. */
+export function mayMove(role: Role | null, tool: number): boolean {
+  if (role === null) return true;
+  const holder = role.instruments[tool] ?? "controller";
+  return role.role === "controller" ? holder !== "another" : holder === "this";
+}
+
 export interface HapticTiming {
   readonly rate_hz: number;
   readonly deadlines: number;

@@ -18,7 +18,7 @@ import type { Page } from "./page";
 import { Panel, panelValues } from "./panel";
 import { BodyList } from "./bodies";
 import { Profile, profilerReport } from "./profiler";
-import { LoopNews } from "./timing";
+import { LoopNews, mayMove } from "./timing";
 import { headerOfHand, ProtocolError, type HandHeader, type Hello, type Snapshot, type SnapshotHeader, type Topology } from "./protocol";
 import { Resolution } from "./resolution";
 import { Scene3d } from "./scene3d";
@@ -75,7 +75,7 @@ export class Viewer {
     this.toolbar = new Toolbar(page.toolbar, (action) => this.run(action, false));
     this.theatre = new Theatre(this.scene, page);
     this.motion = new HandMotion(this.scene, this.hands, this.theatre, page, this.messages, {
-      moved: () => this.invalidate(), viewed: (orbit) => this.setOrbit(orbit),
+      moved: () => this.invalidate(), viewed: (orbit) => this.setOrbit(orbit), mayMove: (tool) => mayMove(this.news.role, tool),
     });
     this.controls = new Controls(page.scene, this.motion);
     const { panel, scene, hands, motion, news } = this;
@@ -293,7 +293,7 @@ export class Viewer {
   private leave(): void {
     if (this.help.open) this.help.open = false;
     else if (this.lab.close()) return;
-    else if (this.tool.pushing) this.controls.cancel();
+    else if (this.hands.pushing) this.controls.cancel();
     else if (this.tool.active) this.tool.retract();
     else if (this.looks.shown.profiler) this.run("profiler", false);
   }
@@ -347,7 +347,7 @@ export class Viewer {
     this.refreshSwitches();
     if (this.hands.settled) {
       // The next motion starts with a stride of one frame, not of the pause before it.
-      if (this.waiting.size === 0 && !this.tool.pushing) this.lastFrame_ms = null;
+      if (this.waiting.size === 0 && !this.hands.pushing) this.lastFrame_ms = null;
     } else {
       this.invalidate();
     }

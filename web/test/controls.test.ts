@@ -60,7 +60,7 @@ describe("pointers on the canvas", () => {
       expect(send("pointermove", 2, x, 48)).toEqual(["wheel -1"]);
       expect(send("pointermove", 1, 11, 10)).toEqual(["push first 11 10"]);
       expect(send("pointerup", 1, 11, 10)).toEqual(["end first"]);
-      // It is no hand that hovers, either, until it is lifted and comes down again.
+      // It begins anew when it is lifted and comes down again.
       send("pointerup", 2, x, 36);
       expect(send("pointerdown", 2, 10, 10)).toEqual(["begin first 10 10"]);
     }

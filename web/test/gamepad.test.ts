@@ -2,7 +2,7 @@ import { describe, expect, it } from "vitest";
 import { rumble, type Feel } from "../src/feel";
 import { panelValues } from "../src/panel";
 import { decodeText, ProtocolError } from "../src/protocol";
-import { namesOf } from "../src/gamepad";
+import { PadNames } from "../src/gamepad";
 import { padsOf, pedalsOf, readPad, stick, USUAL_PAD, type PadState } from "../src/input_devices/mapping";
 
 const REST: PadState = { axes: [0.05, -0.1, 0, 0.02], pressed: [] };
@@ -51,7 +51,12 @@ describe("gamepad", () => {
   });
 
   it("two of one model are mapped each by itself, to any instrument", () => {
-    expect(namesOf([{ id: "pad" }, { id: "other" }, { id: "pad" }, { id: "pad" }])).toEqual(["pad", "other", "pad (2)", "pad (3)"]);
+    const names = new PadNames();
+    const pads = ["pad", "other", "pad", "pad"].map((id, index) => ({ id, index }));
+    expect(names.of(pads)).toEqual(["pad", "other", "pad (2)", "pad (3)"]);
+    // One that goes takes no name from another; the next one gets what is free.
+    expect(names.of(pads.slice(1))).toEqual(["other", "pad (2)", "pad (3)"]);
+    expect(names.of([{ id: "pad", index: 9 }, ...pads.slice(1)])).toEqual(["pad", "other", "pad (2)", "pad (3)"]);
     const kept = padsOf({ pad: { ...USUAL_PAD, instrument: 4 }, "pad (2)": { ...USUAL_PAD, instrument: 5 } });
     expect(["pad", "pad (2)"].map((name) => kept[name].instrument)).toEqual([4, null]);
     expect(pedalsOf({ F13: { action: "trigger", instrument: 4, whileHeld: true } }).F13.instrument).toBe(4);

@@ -37,19 +37,21 @@ describe("several instruments", () => {
     expect([hands.chosen, texts.length, toolNumber("cut")]).toEqual([1, 1, null]);
   });
 
-  it("a second pointer takes the next one that is no endoscope", () => {
+  it("a second pointer takes the next one that is no endoscope and that this page may move", () => {
+    const all = () => true;
     const hands = new Hands();
     hands.begin(HELLO);
-    expect(hands.second).toBe(1);
+    expect(hands.second(all)).toBe(1);
+    expect(hands.second((tool) => tool !== 1)).toBeNull();
     const endoscope = { ...TOOL, optics: { view_angle_rad: 0, field_of_view_rad: 1 } };
     hands.begin({ tools: [TOOL, endoscope, TOOL] } as unknown as Hello);
-    expect(hands.second).toBe(2);
+    expect(hands.second(all)).toBe(2);
     hands.choose(2, messages().sink);
-    expect(hands.second).toBe(0);
+    expect(hands.second(all)).toBe(0);
     hands.begin({ tools: [TOOL, endoscope] } as unknown as Hello);
-    expect([hands.chosen, hands.second]).toEqual([1, 0]);
+    expect([hands.chosen, hands.second(all)]).toEqual([1, 0]);
     hands.choose(0, messages().sink);
-    expect(hands.second).toBeNull();
+    expect(hands.second(all)).toBeNull();
   });
 
   it("jaws and trigger are sent where the instrument is shown, once", () => {

@@ -2,7 +2,7 @@ import { describe, expect, it } from "vitest";
 import { decodeText, ProtocolError } from "../src/protocol";
 import { panelValues } from "../src/panel";
 import { jitterPlot } from "../src/jitter";
-import { hapticsText, histogramText, jitterText, tickText, timingLines, type Timing } from "../src/timing";
+import { hapticsText, histogramText, jitterText, mayMove, tickText, timingLines, type Role, type Timing } from "../src/timing";
 
 const HISTOGRAM = { p50: 12, p99: 40, p999: 80.5, max: 120 };
 const TIMING = {
@@ -118,5 +118,17 @@ describe("who controls and how the loops keep time", () => {
     ]) {
       expect(() => decodeText(JSON.stringify(bad))).toThrow(ProtocolError);
     }
+  });
+});
+
+describe("which instruments a page may move", () => {
+  const role = (of: "controller" | "viewer", instruments: Role["instruments"]): Role => ({ type: "role", role: of, control_is_taken: true, instruments });
+
+  it("that which controls all but those that another one took, others only what they took", () => {
+    const instruments = ["controller", "offered", "this", "another"] as const;
+    const may = (of: "controller" | "viewer") => instruments.map((_, tool) => mayMove(role(of, instruments), tool));
+    expect(may("controller")).toEqual([true, true, true, false]);
+    expect(may("viewer")).toEqual([false, false, true, false]);
+    expect(mayMove(null, 0)).toBe(true);
   });
 });

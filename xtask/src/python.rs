@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// What the tests need beside the package.
-const PACKAGES: [&str; 3] = ["numpy==2.2.6", "gymnasium==1.4.0", "pytest==9.0.1"];
+const PACKAGES: [&str; 4] = ["numpy==2.2.6", "gymnasium==1.4.0", "pytest==9.0.1", "mypy==2.4.1"];
 const MATURIN: &str = "maturin==1.16.0";
 /// Where the package lies in the repository.
 const SOURCE: &str = "crates/glisson-py";
@@ -15,7 +15,7 @@ const SOURCE: &str = "crates/glisson-py";
 const CHECKING: Duration = Duration::from_secs(600);
 /// How long making a wheel may take: everything is compiled for it.
 const MAKING: Duration = Duration::from_secs(1800);
-/// Pythons that are looked for, the newest first; the first one is the oldest that the package is for.
+/// Pythons that are looked for, the newest first, down to the oldest that the package is for.
 const PYTHONS: [&str; 5] = ["python3.14", "python3.13", "python3.12", "python3.11", "python3.10"];
 
 /// Where everything is kept.
@@ -34,7 +34,7 @@ pub(crate) fn install() -> anyhow::Result<String> {
     let is_enough = ["-c", "import sys; sys.exit(sys.version_info < (3, 10))"];
     ensure!(run(&python, &is_enough).is_ok(), "the Python package is for Python 3.10 or later: install one");
     let packages = folder().join("packages");
-    if !packages.join("pytest").exists() {
+    if !packages.join("mypy").exists() {
         pip_install(&python, &packages.to_string_lossy(), &PACKAGES)?;
     }
     Ok(python)
@@ -59,9 +59,15 @@ pub(crate) fn check(python: &str) -> anyhow::Result<()> {
         format!("GLISSON_PROGRAM={}", root().join(program()).display()),
         python.to_owned(),
     ];
+    let with_words = |more: &[&str]| {
+        run_within(CHECKING, "env", &[&words.each_ref().map(String::as_str)[..], more].concat())
+    };
     let tests = root().join(SOURCE).join("tests").to_string_lossy().into_owned();
-    let pytest = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "--durations=5", &tests];
-    run_within(CHECKING, "env", &words.iter().map(String::as_str).chain(pytest).collect::<Vec<_>>())
+    with_words(&["-m", "pytest", "-q", "-p", "no:cacheprovider", "--durations=5", &tests])?;
+    // Its types, as its users check theirs against them.
+    let package = root().join(&package).to_string_lossy().into_owned();
+    let cache = folder().join("mypy").to_string_lossy().into_owned();
+    with_words(&["-m", "mypy", "--strict", "--no-error-summary", "--cache-dir", &cache, &package])
 }
 
 fn copy_folder(from: &Path, to: &Path) -> anyhow::Result<()> {

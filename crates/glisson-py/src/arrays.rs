@@ -1,27 +1,52 @@
 //! Between arrays of Python and what the library takes and gives.
 
+use crate::runner::PictureKind;
 use glisson::math::DVec3;
 use glisson::tool::ToolInput;
-use numpy::ndarray::{Array2, ArrayViewD};
-use numpy::{Element, IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArrayDyn};
+use glisson_view::film::view::FilmView;
+use numpy::ndarray::{Array, ArrayViewD, Dimension, ShapeBuilder};
+use numpy::{Element, IntoPyArray, PyArray, PyArray2, PyArrayMethods, PyReadonlyArrayDyn};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 /// Numbers of a pose: tip (3), shaft towards the handle (3), roll, jaws, trigger.
 pub(crate) const POSE_LENGTH: usize = 9;
 
-/// An array of Python's own, which nobody writes to.
+/// The same of rows of this width.
 pub(crate) fn read_only<T: Element>(
     py: Python<'_>,
     values: Vec<T>,
     width: usize,
 ) -> PyResult<Bound<'_, PyArray2<T>>> {
     let n_rows = values.len() / width;
-    let array = Array2::from_shape_vec((n_rows, width), values)
-        .map_err(|error| PyValueError::new_err(error.to_string()))?
-        .into_pyarray(py);
+    Ok(gathered(py, (n_rows, width), values)?.into_bound(py))
+}
+
+/// An array of Python's own of this shape, which nobody writes to.
+pub(crate) fn gathered<T: Element, D: Dimension>(
+    py: Python<'_>,
+    shape: impl ShapeBuilder<Dim = D>,
+    values: Vec<T>,
+) -> PyResult<Py<PyArray<T, D>>> {
+    let array =
+        Array::from_shape_vec(shape, values).map_err(|error| PyValueError::new_err(error.to_string()))?;
+    let array = array.into_pyarray(py);
     array.try_readwrite()?.make_nonwriteable();
-    Ok(array)
+    Ok(array.unbind())
+}
+
+/// What a picture is called, and its size, as the runner takes them.
+pub(crate) fn picture_kind(view: &str, width: usize, height: usize) -> PyResult<PictureKind> {
+    let view = match view {
+        "outside" => FilmView::Outside,
+        "endoscope" => FilmView::Endoscope,
+        _ => {
+            return Err(PyValueError::new_err(format!(
+                "view is \"{view}\"; there are \"outside\" and \"endoscope\""
+            )));
+        }
+    };
+    Ok((view, [width, height]))
 }
 
 /// x, y, z of each.

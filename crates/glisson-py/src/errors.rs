@@ -3,6 +3,8 @@
 use pyo3::PyErr;
 use pyo3::create_exception;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Mutex, MutexGuard, TryLockError};
 
 create_exception!(
     glisson,
@@ -25,4 +27,22 @@ pub(crate) fn of_scene(error: &anyhow::Error) -> PyErr {
 /// Something that a world cannot do.
 pub(crate) fn of_simulation(error: &anyhow::Error) -> PyErr {
     SimulationError::new_err(format!("{error:#}"))
+}
+
+/// Does something that may break: a panic is told as an error, and does not end the interpreter's thread.
+pub(crate) fn guarded<T>(act: impl FnOnce() -> anyhow::Result<T>) -> anyhow::Result<T> {
+    catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<String>().map(String::as_str);
+        let words = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without words");
+        Err(anyhow::anyhow!("the program broke: {words}. Please report this with the scene"))
+    })
+}
+
+/// Takes a lock that nobody has; what broke while it was held does not matter any more. `None`: somebody has it.
+pub(crate) fn try_lock<T>(mutex: &Mutex<T>) -> Option<MutexGuard<'_, T>> {
+    match mutex.try_lock() {
+        Ok(guard) => Some(guard),
+        Err(TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
+        Err(TryLockError::WouldBlock) => None,
+    }
 }

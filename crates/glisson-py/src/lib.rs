@@ -9,9 +9,9 @@
 
 #![expect(clippy::needless_pass_by_value, reason = "what Python gives is taken by value")]
 
-mod arrays;
 mod errors;
 mod runner;
+mod arrays;
 mod scene;
 mod world;
 mod worlds;

@@ -6,6 +6,7 @@ use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::{StepInput, World};
 use glisson_runtime::simulation::SavedSimulation;
 use glisson_runtime::{OpenScene, Simulation};
+use glisson_view::film::view::{FilmCamera, FilmView};
 use std::path::Path;
 
 /// A world and its hands.
@@ -13,7 +14,12 @@ pub(crate) struct Runner {
     pub(crate) simulation: Simulation,
     /// Where the hands are; those beyond the last instrument do not count.
     hands: [ToolInput; MAX_TOOLS],
+    /// What takes pictures of it, one of each kind that was asked for.
+    cameras: Vec<(PictureKind, FilmCamera)>,
 }
+
+/// From where a picture is taken, and how many pixels wide and high it is.
+pub(crate) type PictureKind = (FilmView, [usize; 2]);
 
 /// A moment to come back to.
 pub(crate) struct Saved {
@@ -25,7 +31,7 @@ impl Runner {
     pub(crate) fn open(scene: OpenScene, record: Option<&Path>) -> anyhow::Result<Self> {
         let simulation = Simulation::open(scene, record)?;
         let hands = homes(simulation.world());
-        Ok(Self { simulation, hands })
+        Ok(Self { simulation, hands, cameras: Vec::new() })
     }
 
     pub(crate) fn world(&self) -> &World {
@@ -69,6 +75,9 @@ impl Runner {
 
     pub(crate) fn restore(&mut self, saved: &Saved) -> anyhow::Result<()> {
         self.simulation.restore(&saved.simulation)?;
+        for (_, camera) in &mut self.cameras {
+            camera.look_again(self.simulation.world());
+        }
         self.hands = saved.hands;
         Ok(())
     }
@@ -79,7 +88,18 @@ impl Runner {
         Ok(())
     }
 
-    /// Where a point of the tissue at rest is now: that of the nearest surface node.
+    /// A picture of the world now: red, green and blue of each pixel, row by row.
+    pub(crate) fn picture(&mut self, kind: PictureKind) -> anyhow::Result<Vec<u8>> {
+        if !self.cameras.iter().any(|(known, _)| *known == kind) {
+            let camera = FilmCamera::new(&self.simulation, kind.0, kind.1)?;
+            self.cameras.push((kind, camera.without_words()));
+        }
+        let camera = self.cameras.iter_mut().find(|(known, _)| *known == kind);
+        let (_, camera) = camera.context("a camera")?;
+        Ok(camera.picture(self.simulation.world())?.into_rgb())
+    }
+
+    /// Number of the surface node that is nearest to a place at rest.
     pub(crate) fn surface_node_near(&self, at_rest_m: DVec3) -> Option<usize> {
         let organ = self.world().organ();
         let rest_m = &organ.mesh().positions_m;

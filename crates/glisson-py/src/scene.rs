@@ -29,6 +29,11 @@ impl PyScene {
         OpenScene { scene, folder, origin: self.origin.clone(), n_threads }
     }
 
+    /// Whether worlds of both are the same.
+    pub(crate) fn is_same_as(&self, other: &Self) -> bool {
+        self.text == other.text && self.folder == other.folder
+    }
+
     pub(crate) fn parsed(&self) -> &Scene {
         &self.scene
     }
@@ -53,7 +58,7 @@ impl PyScene {
         Self::read(text, folder, "scene".to_owned())
     }
 
-    /// A scene from JSON of the same keys and values as a scene file; `Scene.from_dict` is made of it.
+    /// A scene from JSON of the same keys and values as a scene file; `glisson.scene_from_dict` is made of it.
     #[staticmethod]
     #[pyo3(signature = (json, folder = PathBuf::from(".")))]
     fn _from_json(json: &str, folder: PathBuf) -> PyResult<Self> {

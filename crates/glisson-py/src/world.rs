@@ -1,16 +1,16 @@
 //! One world.
 
-use crate::arrays::{POSE_LENGTH, flat, numbers_of, poses_of, read_only};
-use crate::errors::{SimulationError, of_scene, of_simulation};
+use crate::arrays::{POSE_LENGTH, flat, gathered, numbers_of, picture_kind, poses_of, read_only};
+use crate::errors::{SimulationError, guarded, of_scene, of_simulation, try_lock};
 use crate::runner::{Runner, Saved};
 use crate::scene::PyScene;
 use glisson::mesh::TetId;
 use glisson::record::snapshot::ContactPoints;
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArrayDyn};
+use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArrayDyn};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError, TryLockError};
+use std::sync::{Mutex, PoisonError};
 
 /// A world in time: an organ or several, instruments, perhaps a task.
 ///
@@ -27,6 +27,8 @@ pub(crate) struct PyWorld {
 pub(crate) struct PySaved {
     /// A model may not be looked at from two threads.
     saved: Mutex<Saved>,
+    /// Of the world that it is of.
+    scene: Py<PyScene>,
 }
 
 impl PyWorld {
@@ -37,16 +39,12 @@ impl PyWorld {
         act: impl FnOnce(&mut Runner) -> anyhow::Result<T> + Send,
     ) -> PyResult<T> {
         py.detach(|| {
-            let mut runner = match self.runner.try_lock() {
-                Ok(runner) => runner,
-                Err(TryLockError::WouldBlock) => {
-                    let words = "another thread is using this world: give each thread a world of its own, or use glisson.Worlds";
-                    return Err(SimulationError::new_err(words));
-                }
-                Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            let Some(mut runner) = try_lock(&self.runner) else {
+                let words = "another thread is using this world: give each thread a world of its own, or use glisson.Worlds";
+                return Err(SimulationError::new_err(words));
             };
             match runner.as_mut() {
-                Some(runner) => act(runner).map_err(|error| of_simulation(&error)),
+                Some(runner) => guarded(|| act(runner)).map_err(|error| of_simulation(&error)),
                 None => Err(SimulationError::new_err("this world was closed: make another one of its scene")),
             }
         })
@@ -126,12 +124,20 @@ impl PyWorld {
 
     /// This moment, to come back to. Edits before it cannot be undone after coming back.
     fn save(&self, py: Python<'_>) -> PyResult<PySaved> {
-        Ok(PySaved { saved: Mutex::new(self.with(py, |runner| runner.save())?) })
+        Ok(PySaved {
+            saved: Mutex::new(self.with(py, |runner| runner.save())?),
+            scene: self.scene.clone_ref(py),
+        })
     }
 
     /// Comes back to a saved moment of a world of the same scene, to the bit.
     fn restore(&self, py: Python<'_>, saved: &Bound<'_, PySaved>) -> PyResult<()> {
-        let saved = &saved.get().saved;
+        let PySaved { saved, scene } = saved.get();
+        if !scene.get().is_same_as(self.scene.get()) {
+            return Err(SimulationError::new_err(
+                "that moment is of a world of another scene: it cannot come back in this one",
+            ));
+        }
         self.with(py, |runner| runner.restore(&saved.lock().unwrap_or_else(PoisonError::into_inner)))
     }
 
@@ -143,15 +149,12 @@ impl PyWorld {
     /// Ends it, and its session if one is recorded; answers the hash of the end.
     fn close(&self, py: Python<'_>) -> PyResult<Option<String>> {
         py.detach(|| {
-            let taken = match self.runner.try_lock() {
-                Ok(mut runner) => runner.take(),
-                Err(TryLockError::WouldBlock) => {
-                    return Err(SimulationError::new_err(
-                        "another thread is using this world: it cannot be closed",
-                    ));
-                }
-                Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner().take(),
+            let Some(mut held) = try_lock(&self.runner) else {
+                return Err(SimulationError::new_err(
+                    "another thread is using this world: it cannot be closed",
+                ));
             };
+            let taken = held.take();
             let Some(runner) = taken else { return Ok(None) };
             let hash = runner.simulation.finish().map_err(|error| of_simulation(&error))?;
             Ok(Some(hash.to_string()))
@@ -270,7 +273,7 @@ impl PyWorld {
     fn n_held(&self, py: Python<'_>) -> PyResult<Py<PyArray1<u32>>> {
         let held = self
             .look(py, |runner| reports(runner).iter().map(|tool| tool.n_held_nodes).collect::<Vec<u32>>())?;
-        Ok(held.into_pyarray(py).unbind())
+        gathered(py, held.len(), held)
     }
 
     /// Where surfaces bear forces, the greatest first: places [m], normals, forces on what touches [N], each (contacts, 3), and the
@@ -290,8 +293,17 @@ impl PyWorld {
             array(flat(points.iter().map(|point| point.place_m)))?,
             array(flat(points.iter().map(|point| point.normal)))?,
             array(flat(points.iter().map(|point| point.force_n)))?,
-            points.iter().map(|point| point.by).collect::<Vec<u8>>().into_pyarray(py).unbind(),
+            gathered(py, points.len(), points.iter().map(|point| point.by).collect())?,
         ))
+    }
+
+    /// A picture of the world now, drawn by the processor, (height, width, 3), 8-bit sRGB: from "outside", where the whole organ at the
+    /// time of the first picture is in it, or through the scene's first "endoscope".
+    #[pyo3(signature = (width = 640, height = 480, view = "outside"))]
+    fn picture(&self, py: Python<'_>, width: usize, height: usize, view: &str) -> PyResult<Py<PyArray3<u8>>> {
+        let kind = picture_kind(view, width, height)?;
+        let rgb = self.with(py, |runner| runner.picture(kind))?;
+        gathered(py, (height, width, 3), rgb)
     }
 
     /// Blood lost so far [m3].

@@ -1,18 +1,15 @@
 //! Many worlds at once.
 
-use crate::arrays::{POSE_LENGTH, numbers_of, poses_of};
-use crate::errors::{SimulationError, of_scene, of_simulation};
+use crate::arrays::{POSE_LENGTH, gathered, numbers_of, picture_kind, poses_of};
+use crate::errors::{SimulationError, guarded, of_scene, of_simulation, try_lock};
 use crate::runner::{Runner, Saved};
 use crate::scene::PyScene;
-use glam::DVec3;
+use glisson::math::DVec3;
 use glisson::tool::ToolInput;
-use numpy::ndarray::{Array, Dimension, ShapeBuilder};
-use numpy::{
-    Element, IntoPyArray, PyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray2, PyReadonlyArrayDyn,
-};
+use glisson_runtime::workers::side_by_side;
+use numpy::{PyArray1, PyArray2, PyArray3, PyArray4, PyReadonlyArray2, PyReadonlyArrayDyn};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// A world of many.
@@ -52,15 +49,28 @@ impl PyWorlds {
         let n = asked.map_or(self.places.len(), <[usize]>::len);
         let number = |i: usize| asked.map_or(i, |asked| asked[i]);
         let done: Vec<anyhow::Result<T>> = py.detach(|| {
-            let Ok(_busy) = self.busy.try_lock() else {
+            let Some(_busy) = try_lock(&self.busy) else {
                 return Err(SimulationError::new_err("another thread is using these worlds"));
             };
-            Ok(on_threads(self.n_threads.min(n), n, |i| act(i, &mut lock(&self.places[number(i)]))))
+            Ok(side_by_side(self.n_threads, n, |i| guarded(|| act(i, &mut lock(&self.places[number(i)])))))
         })?;
         let of_world = |(i, result): (usize, anyhow::Result<T>)| {
             result.map_err(|error| of_simulation(&error.context(format!("world {}", number(i)))))
         };
         done.into_iter().enumerate().map(of_world).collect()
+    }
+
+    /// Something of each instrument of each world.
+    fn of_tools<T: Send>(
+        &self,
+        py: Python<'_>,
+        see: impl Fn(&glisson::world::World, usize) -> T + Sync,
+    ) -> PyResult<Vec<T>> {
+        let n_tools = self.n_tools;
+        let of_each = self.each(py, None, |_, place| {
+            Ok((0..n_tools).map(|tool| see(place.runner.world(), tool)).collect::<Vec<T>>())
+        })?;
+        Ok(of_each.into_iter().flatten().collect())
     }
 
     fn numbers_asked(&self, worlds: Option<Vec<usize>>) -> PyResult<Option<Vec<usize>>> {
@@ -89,46 +99,6 @@ impl PyWorlds {
     }
 }
 
-/// `act(0)` to `act(n - 1)`, each on one of `n_threads` threads, in their order.
-fn on_threads<T: Send>(n_threads: usize, n: usize, act: impl Fn(usize) -> T + Sync) -> Vec<T> {
-    if n_threads < 2 {
-        return (0..n).map(act).collect();
-    }
-    let next = AtomicUsize::new(0);
-    let take_turns = || {
-        let mut done = Vec::new();
-        loop {
-            let i = next.fetch_add(1, Ordering::Relaxed);
-            if i >= n {
-                return done;
-            }
-            done.push((i, act(i)));
-        }
-    };
-    let mut done: Vec<(usize, T)> = std::thread::scope(|scope| {
-        // The calling thread works, too.
-        let others: Vec<_> = (1..n_threads).map(|_| scope.spawn(take_turns)).collect();
-        let mut done = take_turns();
-        for other in others {
-            done.extend(other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
-        }
-        done
-    });
-    done.sort_by_key(|(i, _)| *i);
-    done.into_iter().map(|(_, what)| what).collect()
-}
-
-/// An array of what each world has.
-fn gathered<T: Element, D: Dimension>(
-    py: Python<'_>,
-    shape: impl ShapeBuilder<Dim = D>,
-    values: Vec<T>,
-) -> PyResult<Py<PyArray<T, D>>> {
-    let array =
-        Array::from_shape_vec(shape, values).map_err(|error| PyValueError::new_err(error.to_string()))?;
-    Ok(array.into_pyarray(py).unbind())
-}
-
 #[pymethods]
 impl PyWorlds {
     /// A world for each scene, at rest.
@@ -153,8 +123,10 @@ impl PyWorlds {
             let start = runner.save()?;
             Ok(Place { runner, start, tracked: Vec::new() })
         };
-        let opened: anyhow::Result<Vec<Place>> =
-            py.detach(|| on_threads(n_threads.min(scenes.len()), scenes.len(), open)).into_iter().collect();
+        let opened: anyhow::Result<Vec<Place>> = py
+            .detach(|| side_by_side(n_threads, scenes.len(), |i| guarded(|| open(i))))
+            .into_iter()
+            .collect();
         let places = opened.map_err(|error| of_scene(&error))?.into_iter().map(Mutex::new).collect();
         Ok(Self { places, n_tools, n_threads, busy: Mutex::new(()) })
     }
@@ -231,70 +203,68 @@ impl PyWorlds {
     /// Where the tracked points are [m], (worlds, points, 3).
     #[getter]
     fn tracked_m(&self, py: Python<'_>) -> PyResult<Py<PyArray3<f64>>> {
-        let (mut values, mut n_points) = (Vec::new(), 0);
-        for place in &self.places {
-            let place = lock(place);
-            n_points = place.tracked.len();
+        let of_each = self.each(py, None, |_, place| {
             let positions_m = place.runner.world().state().positions_m;
-            values.extend(place.tracked.iter().flat_map(|node| positions_m[*node].to_array()));
-        }
-        gathered(py, (self.places.len(), n_points, 3), values)
+            Ok(place.tracked.iter().flat_map(|node| positions_m[*node].to_array()).collect::<Vec<_>>())
+        })?;
+        let n_points = of_each[0].len() / 3;
+        gathered(py, (of_each.len(), n_points, 3), of_each.concat())
     }
 
     /// Where the instruments are, (worlds, instruments, 9).
     #[getter]
     fn poses(&self, py: Python<'_>) -> PyResult<Py<PyArray3<f64>>> {
-        let n_tools = self.n_tools;
-        let poses = |place: &Place| {
-            (0..n_tools)
-                .flat_map(|tool| numbers_of(&place.runner.world().tool_pose(tool)))
-                .collect::<Vec<_>>()
-        };
-        let values = self.places.iter().flat_map(|place| poses(&lock(place))).collect();
-        gathered(py, (self.places.len(), n_tools, POSE_LENGTH), values)
+        let of_each = self.of_tools(py, |world, tool| numbers_of(&world.tool_pose(tool)))?;
+        gathered(py, (self.places.len(), self.n_tools, POSE_LENGTH), of_each.into_flattened())
     }
 
     /// Force of the tissue on each instrument [N], (worlds, instruments, 3).
     #[getter]
     fn forces_n(&self, py: Python<'_>) -> PyResult<Py<PyArray3<f64>>> {
-        let n_tools = self.n_tools;
-        let forces = |place: &Place| {
-            let tools = &place.runner.world().report().tools[..n_tools];
-            tools.iter().flat_map(|tool| tool.force_on_tool_n.to_array()).collect::<Vec<_>>()
-        };
-        let values = self.places.iter().flat_map(|place| forces(&lock(place))).collect();
-        gathered(py, (self.places.len(), n_tools, 3), values)
+        let of_each =
+            self.of_tools(py, |world, tool| world.report().tools[tool].force_on_tool_n.to_array())?;
+        gathered(py, (self.places.len(), self.n_tools, 3), of_each.into_flattened())
     }
 
     /// Nodes that the jaws of each instrument hold, (worlds, instruments).
     #[getter]
     fn n_held(&self, py: Python<'_>) -> PyResult<Py<PyArray2<u32>>> {
-        let n_tools = self.n_tools;
-        let held = |place: &Place| {
-            let tools = &place.runner.world().report().tools[..n_tools];
-            tools.iter().map(|tool| tool.n_held_nodes).collect::<Vec<_>>()
-        };
-        let values = self.places.iter().flat_map(|place| held(&lock(place))).collect();
-        gathered(py, (self.places.len(), n_tools), values)
+        let of_each = self.of_tools(py, |world, tool| world.report().tools[tool].n_held_nodes)?;
+        gathered(py, (self.places.len(), self.n_tools), of_each)
     }
 
     /// Simulated time of each world [s], (worlds,).
     #[getter]
     fn times_s(&self, py: Python<'_>) -> PyResult<Py<PyArray1<f64>>> {
-        let times_s: Vec<f64> = self.places.iter().map(|place| lock(place).runner.world().time_s()).collect();
-        Ok(times_s.into_pyarray(py).unbind())
+        let times_s = self.each(py, None, |_, place| Ok(place.runner.world().time_s()))?;
+        gathered(py, times_s.len(), times_s)
     }
 
     /// Volume of tissue taken out of each world so far [m3], (worlds,).
     #[getter]
     fn removed_volumes_m3(&self, py: Python<'_>) -> PyResult<Py<PyArray1<f64>>> {
-        let removed = |place: &Mutex<Place>| lock(place).runner.world().removed_volume_m3();
-        Ok(self.places.iter().map(removed).collect::<Vec<f64>>().into_pyarray(py).unbind())
+        let volumes_m3 = self.each(py, None, |_, place| Ok(place.runner.world().removed_volume_m3()))?;
+        gathered(py, volumes_m3.len(), volumes_m3)
     }
 
     /// Hash of everything that the next steps of each world depend on.
     fn hashes(&self, py: Python<'_>) -> PyResult<Vec<String>> {
         self.each(py, None, |_, place| Ok(place.runner.world().state_hash().to_string()))
+    }
+
+    /// Pictures of `worlds` (all, if not given) as `World.picture` makes them, (worlds, height, width, 3).
+    #[pyo3(signature = (width = 128, height = 128, view = "outside", worlds = None))]
+    fn pictures(
+        &self,
+        py: Python<'_>,
+        width: usize,
+        height: usize,
+        view: &str,
+        worlds: Option<Vec<usize>>,
+    ) -> PyResult<Py<PyArray4<u8>>> {
+        let (worlds, kind) = (self.numbers_asked(worlds)?, picture_kind(view, width, height)?);
+        let rgb = self.each(py, worlds.as_deref(), |_, place| place.runner.picture(kind))?;
+        gathered(py, (rgb.len(), height, width, 3), rgb.concat())
     }
 
     fn __reduce__(&self) -> PyResult<()> {

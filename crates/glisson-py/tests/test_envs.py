@@ -1,5 +1,6 @@
 """Environments: Gymnasium's own checks, scripted success, the same episodes at any number of threads and environments."""
 
+import sys
 import warnings
 
 import gymnasium
@@ -97,6 +98,7 @@ def test_same_step_gives_the_last_observation_beside_the_first_of_the_next():
     assert cut_off.all() and infos["_final_obs"].all()
     assert not np.array_equal(infos["final_obs"][0], fresh[0])
     assert infos["final_info"]["reward_lift"].shape == (2,)
+    assert not infos["_reward_lift"].any(), "of the last step it is in final_info alone"
     _, _, _, cut_off, _ = envs.step(stay)
     assert not cut_off.any()
 
@@ -117,6 +119,18 @@ def test_disabled_waits_for_a_reset_of_what_is_over():
     assert not np.array_equal(after[0], before[0])
 
 
+def test_pictures_of_environments():
+    env = make("Palpation", render_mode="rgb_array")
+    env.reset(seed=1)
+    one = env.render()
+    assert one.shape == (240, 320, 3) and one.dtype == np.uint8
+    envs = make_vec("Palpation", 2, render_mode="rgb_array")
+    envs.reset(seed=[3, 1])
+    np.testing.assert_array_equal(envs.render()[1], one)
+    with pytest.raises(ValueError, match="rgb_array"):
+        make("Palpation", render_mode="human")
+
+
 def test_bad_input_is_refused_in_words():
     with pytest.raises(ValueError, match="TissueRetraction"):
         make("TissueRetractoin")
@@ -135,13 +149,58 @@ def test_bad_input_is_refused_in_words():
         env.step(np.zeros(4, np.float32))
 
 
-def test_many_resets_leave_nothing_behind():
-    import resource
+def resident_bytes():
+    with open("/proc/self/statm") as statm:
+        return int(statm.read().split()[1]) * 4096
 
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+def test_many_resets_leave_nothing_behind():
     env = make("TissueRetraction", edge_m=0.008)
     used = []
-    for i in range(3):
-        for seed in range(100):
+    for _ in range(3):
+        for seed in range(150):
             env.reset(seed=seed)
-        used.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-    assert used[2] - used[1] < 2000, f"kB at most: {used}"
+        used.append(resident_bytes())
+    assert used[2] - used[1] < 150 * 5_000, f"bytes: {used}"
+
+
+def test_a_generator_of_ones_own_and_the_seed_that_was_drawn_give_the_episode_again():
+    env = make("TissueRetraction")
+    first, _ = env.reset()
+    again, _ = env.reset(seed=env.np_random_seed)
+    np.testing.assert_array_equal(first, again)
+    other, _ = env.reset()
+    assert not np.array_equal(first, other)
+
+
+def test_only_what_begins_is_seeded_and_remembers_anew():
+    class Counts(glisson.envs.Palpation):
+        def remember(self, episodes, seen, fresh):
+            super().remember(episodes, seen, fresh)
+            count = episodes.memory.setdefault("count", np.zeros(len(fresh)))
+            count += 1
+            count[fresh] = 0
+
+    envs = glisson.envs.TissueVectorEnv(Counts(most_steps=4), 2, autoreset_mode=AutoresetMode.DISABLED)
+    envs.reset(seed=1)
+    stay = np.zeros(envs.action_space.shape, np.float32)
+    for _ in range(3):
+        envs.step(stay)
+    np.testing.assert_array_equal(envs.batch.episodes.memory["count"], [3, 3])
+    kept = envs.batch.randoms[1]
+    envs.reset(seed=9, options={"reset_mask": np.array([True, False])})
+    np.testing.assert_array_equal(envs.batch.episodes.memory["count"], [0, 3])
+    assert envs.batch.randoms[1] is kept
+
+
+def test_an_episode_that_is_over_or_not_begun_says_so():
+    env = make("Palpation", most_steps=1)
+    stay = np.zeros(4, np.float32)
+    for act in (lambda: env.step(stay), env.scripted_action):
+        with pytest.raises(gymnasium.error.ResetNeeded):
+            act()
+    env.reset(seed=1)
+    assert env.step(stay)[3]
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(stay)

@@ -93,7 +93,7 @@ def test_worlds_are_each_as_one_alone_at_any_number_of_threads(scene):
     for threads in (1, 2, 3):
         worlds = glisson.Worlds([scene] * 3, threads=threads)
         assert len(worlds) == 3 and worlds.threads == threads
-        poses = worlds.poses
+        poses = worlds.poses.copy()
         start = worlds.hashes()
         for i, depth_m in enumerate(depths_m):
             poses[i, 0, :3] = [0.0, -0.013 + depth_m, 0.0]
@@ -111,7 +111,7 @@ def test_tracked_points_are_those_of_the_surface(scene):
     worlds = glisson.Worlds([scene] * 2)
     worlds.track(np.array([[0.0, -0.010, 0.0]]))
     before_m = worlds.tracked_m
-    poses = worlds.poses
+    poses = worlds.poses.copy()
     poses[1, 0, :3] = [0.0, -0.008, 0.0]
     worlds.step(poses, 60)
     moved_m = worlds.tracked_m - before_m
@@ -122,6 +122,9 @@ def test_arrays_are_copies_that_nobody_writes_to(scene):
     world = glisson.World(scene)
     before = world.positions_m
     kept = before.copy()
+    contacts = world.contacts()
+    for array in (before, world.surface, world.poses, world.n_held, *contacts, world.picture(8, 8), glisson.Worlds([scene]).poses):
+        assert not array.flags.writeable
     with pytest.raises(ValueError):
         before[0, 0] = 1.0
     world.step(30, pressed(world))
@@ -243,3 +246,73 @@ def test_two_threads_cannot_use_one_world_and_neither_waits_for_ever(scene):
     thread.join()
     assert n_refused > 0 or refused
     assert world.steps in (0, 400)
+
+
+def test_pictures_show_the_world_as_it_is(scene):
+    world = glisson.World(scene)
+    before = world.picture(160, 120)
+    assert before.shape == (120, 160, 3) and before.dtype == np.uint8
+    assert len(np.unique(before.reshape(-1, 3), axis=0)) > 100, "not one colour"
+    np.testing.assert_array_equal(world.picture(160, 120), before)
+    world.step(60, pressed(world))
+    assert not np.array_equal(world.picture(160, 120), before)
+    worlds = glisson.Worlds([scene] * 2)
+    pictures = worlds.pictures(160, 120)
+    assert pictures.shape == (2, 120, 160, 3)
+    np.testing.assert_array_equal(pictures[1], before)
+    assert worlds.pictures(16, 16, worlds=[1]).shape == (1, 16, 16, 3)
+    # Another size does not change from where it is seen.
+    now = world.picture(160, 120)
+    world.picture(80, 60)
+    np.testing.assert_array_equal(world.picture(160, 120), now)
+    with pytest.raises(ValueError, match="endoscope"):
+        world.picture(view="inside")
+    with pytest.raises(glisson.SimulationError, match="no endoscope"):
+        world.picture(view="endoscope")
+    with pytest.raises(glisson.SimulationError, match="0 x 10"):
+        world.picture(0, 10)
+
+
+def test_a_picture_after_coming_back_is_of_what_is_there_then(scene):
+    world, other = glisson.World(scene), glisson.World(scene)
+    for it in (world, other):
+        it.picture(64, 48)
+    saved = world.save()
+    world.remove([0, 5])
+    world.picture(64, 48)
+    world.restore(saved)
+    # As many versions of the surface, and another surface.
+    for it in (world, other):
+        it.remove(list(range(40)))
+    np.testing.assert_array_equal(world.picture(64, 48), other.picture(64, 48))
+
+
+def test_a_moment_comes_back_in_a_world_of_its_scene_alone(scene):
+    saved = glisson.World(scene).save()
+    glisson.World(glisson.Scene.parse(scene.text)).restore(saved)
+    with pytest.raises(glisson.SimulationError, match="another scene"):
+        glisson.World(glisson.Scene.task("camera_navigation")).restore(saved)
+
+
+def test_who_uses_worlds_that_step_is_told(scene):
+    worlds = glisson.Worlds([scene] * 2, threads=1)
+    poses, begun = worlds.poses.copy(), threading.Event()
+    poses[:, 0, :3] = [0.0, -0.008, 0.0]
+
+    def step():
+        begun.set()
+        worlds.step(poses, 400)
+
+    thread = threading.Thread(target=step)
+    thread.start()
+    begun.wait()
+    n_refused = 0
+    while thread.is_alive():
+        try:
+            times_s = worlds.times_s
+            assert times_s[0] == times_s[1], "not torn"
+        except glisson.SimulationError as error:
+            assert "another thread" in str(error)
+            n_refused += 1
+    thread.join()
+    assert n_refused > 0 and worlds.times_s == pytest.approx([0.8, 0.8])

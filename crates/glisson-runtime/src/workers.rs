@@ -6,7 +6,7 @@
 
 use anyhow::Context;
 use std::hint::spin_loop;
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{JoinHandle, Thread, yield_now};
@@ -236,9 +236,49 @@ pub(crate) fn allowed_cores() -> Vec<usize> {
 #[cfg(not(target_os = "linux"))]
 fn stay_on(_core: usize) {}
 
+/// `act(0)` to `act(n - 1)`, on `n_threads` threads at most, the calling one among them; what comes out is in their order. For work of
+/// milliseconds and more: threads are started for it.
+pub fn side_by_side<T: Send>(n_threads: usize, n: usize, act: impl Fn(usize) -> T + Sync) -> Vec<T> {
+    let n_threads = n_threads.min(n);
+    if n_threads < 2 {
+        return (0..n).map(act).collect();
+    }
+    let next = AtomicUsize::new(0);
+    let take_turns = || {
+        let mut done = Vec::new();
+        loop {
+            let i = next.fetch_add(1, Ordering::Relaxed);
+            if i >= n {
+                return done;
+            }
+            done.push((i, act(i)));
+        }
+    };
+    let mut done: Vec<(usize, T)> = std::thread::scope(|scope| {
+        let others: Vec<_> = (1..n_threads).map(|_| scope.spawn(take_turns)).collect();
+        let mut done = take_turns();
+        for other in others {
+            done.extend(other.join().unwrap_or_else(|panic| resume_unwind(panic)));
+        }
+        done
+    });
+    done.sort_by_key(|(i, _)| *i);
+    done.into_iter().map(|(_, what)| what).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_done_side_by_side_comes_out_in_order() {
+        for n_threads in [0, 1, 2, 5] {
+            assert_eq!(side_by_side(n_threads, 40, |i| i * i), (0..40).map(|i| i * i).collect::<Vec<_>>());
+            assert!(side_by_side(n_threads, 0, |i| i).is_empty());
+            let broken = catch_unwind(|| side_by_side(n_threads, 9, |i| assert!(i != 4, "the fourth")));
+            assert!(broken.is_err(), "{n_threads}");
+        }
+    }
 
     #[test]
     fn every_task_runs_once_in_every_round_spinning_or_parked() {

@@ -2,7 +2,7 @@
  * The page of input devices: which instrument each pointer, gamepad, pedal and force-feedback device moves, what its sticks and buttons do, and
  * what they say at the moment; and which instruments another machine has. While it is open, gamepads and pedals move nothing.
  */
-import { connectedPads, namesOf, stateOf } from "../gamepad";
+import { connectedPads, padNames, stateOf } from "../gamepad";
 import { giveFocusBack } from "../keys";
 import { text } from "../language";
 import type { ClientMessage, Hello } from "../protocol";
@@ -93,7 +93,7 @@ export class Devices {
   private build(pads: readonly Gamepad[]): void {
     const focusable = (): HTMLElement[] => [...this.page.querySelectorAll<HTMLElement>("input, select, button")];
     const focused = focusable().indexOf(document.activeElement as HTMLElement);
-    const names = namesOf(pads);
+    const names = padNames.of(pads);
     this.cards = pads.map(
       (pad, i) =>
         new PadCard(names[i], stateOf(pad), this.pads[names[i]] ?? USUAL_PAD, this.names, (mapping) => {
@@ -197,7 +197,7 @@ export class Devices {
 function pointsTo(pads: PadMappings, pedals: Pedals, tool: number, chosen: number, connected: readonly Gamepad[]): string[] {
   const isMeant = (instrument: number | null): boolean => (instrument ?? chosen) === tool;
   const movers = tool === chosen ? [text("devices_pointer")] : [];
-  for (const name of namesOf(connected)) if (isMeant((pads[name] ?? USUAL_PAD).instrument)) movers.push(name);
+  for (const name of padNames.of(connected)) if (isMeant((pads[name] ?? USUAL_PAD).instrument)) movers.push(name);
   for (const [code, { instrument }] of Object.entries(pedals)) if (isMeant(instrument)) movers.push(code);
   return movers;
 }

@@ -13,10 +13,9 @@ use glisson::training::task::{TaskResult, TaskRun};
 use glisson::training::trace::Trace;
 use glisson_runtime::script::PathScript;
 use glisson_runtime::tasks::{TASKS, task_named};
+use glisson_runtime::workers::side_by_side;
 use glisson_runtime::{OpenScene, Simulation};
-use std::panic::resume_unwind;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 const OWN: &str = "requirement: tasks and their assessment";
 /// How far a careless hand is off half-way between two points of the demonstration [m], and how long it thinks there, and at the end of the way [s].
@@ -84,31 +83,11 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     for injected in &INJECTED {
         parts.push(Box::new(|| of_injected(injected)));
     }
-    let found: Vec<Vec<Experiment>> = side_by_side(&parts).into_iter().collect::<anyhow::Result<_>>()?;
-    Ok(found.concat().into())
-}
-
-/// Runs parts on all cores, each on one thread, whose processor time is its own; what comes out is in their order.
-fn side_by_side<T: Send>(parts: &[impl Fn() -> T + Sync]) -> Vec<T> {
-    let next = AtomicUsize::new(0);
-    let take_turns = || {
-        let mut done = Vec::new();
-        loop {
-            let number = next.fetch_add(1, Ordering::Relaxed);
-            let Some(part) = parts.get(number) else { return done };
-            done.push((number, part()));
-        }
-    };
+    // Each part on one thread, whose processor time is its own.
     let n_cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let mut done: Vec<(usize, T)> = std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..n_cores).map(|_| scope.spawn(take_turns)).collect();
-        threads
-            .into_iter()
-            .flat_map(|thread| thread.join().unwrap_or_else(|panic| resume_unwind(panic)))
-            .collect()
-    });
-    done.sort_by_key(|(number, _)| *number);
-    done.into_iter().map(|(_, what)| what).collect()
+    let found = side_by_side(n_cores, parts.len(), |i| parts[i]());
+    let found: Vec<Vec<Experiment>> = found.into_iter().collect::<anyhow::Result<_>>()?;
+    Ok(found.concat().into())
 }
 
 /// The demonstration of a task, twice, and a hand that wanders on its way.

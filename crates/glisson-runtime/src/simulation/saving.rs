@@ -48,6 +48,9 @@ impl Simulation {
     /// # Errors
     /// [`CannotSave`].
     pub fn save(&self) -> Result<SavedSimulation, CannotSave> {
+        if let Some(broken) = &self.broken {
+            return Err(broken.clone().into());
+        }
         self.may_go_back()?;
         if self.builder.is_some() || self.turned.is_some() {
             return Err(CannotSave::ModelOrdered);
@@ -63,12 +66,15 @@ impl Simulation {
         })
     }
 
-    /// Comes back to a saved moment of a simulation of the same scene; `saved` serves again. What was told since stays told.
+    /// Comes back to a saved moment of a simulation of the same scene, also where this one broke; `saved` serves again. What was told since
+    /// stays told.
     ///
     /// # Errors
     /// [`CannotSave`].
     pub fn restore(&mut self, saved: &SavedSimulation) -> Result<(), CannotSave> {
         self.may_go_back()?;
+        // What broke is left behind with its world.
+        self.broken = None;
         // Whoever makes a model for the moment that is left delivers it to nobody.
         self.builder = None;
         self.turned = None::<turning::Turned>;
@@ -83,9 +89,6 @@ impl Simulation {
     }
 
     fn may_go_back(&self) -> Result<(), CannotSave> {
-        if let Some(broken) = &self.broken {
-            return Err(broken.clone().into());
-        }
         if self.recorder.is_some() {
             return Err(CannotSave::Recorded);
         }

@@ -614,4 +614,10 @@ fn what_cannot_go_back_says_why() {
     ordered.restore(&saved).unwrap();
     (0..20).for_each(|step| assert!(ordered.advance(&input(step)).is_ok()));
     assert_eq!(ordered.world().model_kind(), ModelKind::TensorMass);
+    // So is what broke.
+    let broken = ordered.break_off("a test".to_owned());
+    assert_eq!(ordered.save().err(), Some(CannotSave::Broken(broken)));
+    assert!(ordered.advance(&input(0)).is_err());
+    ordered.restore(&saved).unwrap();
+    assert!(ordered.advance(&input(0)).is_ok());
 }

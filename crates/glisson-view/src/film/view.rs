@@ -35,6 +35,8 @@ pub struct FilmCamera {
     endoscope: Option<usize>,
     /// The displayed surface, as long as it is the same.
     topology: DisplayTopology,
+    /// Whether time, forces and blood are written into the picture.
+    has_words: bool,
 }
 
 fn is_endoscope(tool: &Tool) -> bool {
@@ -64,7 +66,19 @@ impl FilmCamera {
             outside: outside(&world.snapshot().positions_m, size),
             endoscope,
             topology: world.display_topology(),
+            has_words: true,
         })
+    }
+
+    /// The simulation came back to an earlier moment: versions of its surface are counted from there on again.
+    pub fn look_again(&mut self, world: &World) {
+        self.topology = world.display_topology();
+    }
+
+    /// The same without words in its pictures: for programs that look at them.
+    #[must_use]
+    pub fn without_words(self) -> Self {
+        Self { has_words: false, ..self }
     }
 
     /// The simulation as it is now.
@@ -85,7 +99,11 @@ impl FilmCamera {
                 .map(|number| Instrument::of(&tools[number], &snapshot.tools[number]))
                 .collect(),
             arrows: Vec::new(),
-            captions: vec![Caption { text: words(tools, &snapshot), place: CaptionPlace::BottomLeft }],
+            captions: if self.has_words {
+                vec![Caption { text: words(tools, &snapshot), place: CaptionPlace::BottomLeft }]
+            } else {
+                Vec::new()
+            },
             camera: self.camera(tools, &snapshot),
             size: self.size,
         };

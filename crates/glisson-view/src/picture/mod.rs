@@ -99,6 +99,11 @@ impl Picture {
         Ok(picture)
     }
 
+    /// Red, green and blue of each pixel, row by row from the top; 8-bit sRGB.
+    pub fn into_rgb(self) -> Vec<u8> {
+        self.rgb
+    }
+
     /// Writes a PNG; a failure leaves no half-written file.
     ///
     /// # Errors

@@ -48,10 +48,12 @@ def make_vec(
     *,
     threads: int | None = None,
     autoreset_mode: gymnasium.vector.AutoresetMode = gymnasium.vector.AutoresetMode.NEXT_STEP,
+    render_mode: str | None = None,
     **options: Any,
 ) -> TissueVectorEnv:
     """So many environments, stepped on ``threads`` threads (all cores, if not given)."""
-    return TissueVectorEnv(_task(name, options), num_envs, threads=threads, autoreset_mode=autoreset_mode)
+    task = _task(name, options)
+    return TissueVectorEnv(task, num_envs, threads=threads, autoreset_mode=autoreset_mode, render_mode=render_mode)
 
 
 for _name in TASKS:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glisson import Scene, scene_from_dict
-from glisson.envs.task import EpisodeTask, Episodes, Floats, Seen
+from glisson.envs.task import FORCE_THRESHOLD_N, EpisodeTask, Episodes, Floats, Seen, millimetres
 
 #: Half of the block's length, depth and width [m]. A choice.
 HALF_M = np.array([0.030, 0.010, 0.030])
@@ -29,15 +29,11 @@ STRIDE_M, PRESS_M = 0.004, 0.002
 LEAST_DEPTH_M = 0.001
 
 
-def _mm(x_m: float) -> str:
-    return f"{1e3 * x_m:.4f} mm"
-
-
 class Palpation(EpisodeTask):
     """Press here and there, and mark the place where it is hardest.
 
     ``edge_m``: length of the mesh's edges; 6.5 mm makes 1,215 tetrahedra. The action moves the tip along the front (x, z), presses, and
-    marks where it is greater than one half. A mark ends the episode.
+    marks where it is greater than one half and the tip is in the tissue. A mark ends the episode, right or wrong.
     """
 
     action_names: ClassVar[tuple[str, ...]] = ("x", "z", "press", "mark")
@@ -67,8 +63,8 @@ class Palpation(EpisodeTask):
         return [self._scene(variant) for variant in range(len(PLACES_M) ** 2)]
 
     def _scene(self, variant: int) -> Scene:
-        low, high = ([_mm(sign * half) for half in HALF_M] for sign in (-1, 1))
-        nodule = {"center": [_mm(x_m) for x_m in self.nodule_m(variant)], "radius": _mm(NODULE_RADIUS_M)}
+        low, high = ([millimetres(sign * half) for half in HALF_M] for sign in (-1, 1))
+        nodule = {"center": [millimetres(x_m) for x_m in self.nodule_m(variant)], "radius": millimetres(NODULE_RADIUS_M)}
         return scene_from_dict(
             {
                 "glisson_scene": 1,
@@ -76,7 +72,7 @@ class Palpation(EpisodeTask):
                 "simulation": {"time_step": "10 ms"},
                 "organ": {
                     "box": {"min": low, "max": high},
-                    "edge": _mm(self.edge_m),
+                    "edge": millimetres(self.edge_m),
                     "tissue": "liver",
                     "model": "implicit",
                     "law": "stable_neo_hooke",
@@ -88,9 +84,9 @@ class Palpation(EpisodeTask):
                     {
                         "name": "probe",
                         "kind": "probe",
-                        "tip_radius": _mm(TIP_RADIUS_M),
+                        "tip_radius": millimetres(TIP_RADIUS_M),
                         "friction": 0.3,
-                        "home_tip": ["0 mm", _mm(-HALF_M[1] - OUT_M), "0 mm"],
+                        "home_tip": ["0 mm", millimetres(-HALF_M[1] - OUT_M), "0 mm"],
                         "home_shaft": [0, -1, 0],
                     },
                 ],
@@ -115,7 +111,8 @@ class Palpation(EpisodeTask):
 
     def _depth_m(self, seen: Seen) -> Floats:
         """How far the tip is in the front as it is at rest [m]; negative before it."""
-        return seen.poses[:, 0, 1] + TIP_RADIUS_M + HALF_M[1]
+        depth_m: Floats = seen.poses[:, 0, 1] + TIP_RADIUS_M + HALF_M[1]
+        return depth_m
 
     def remember(self, episodes: Episodes, seen: Seen, fresh: NDArray[np.bool_]) -> None:
         n = len(fresh)
@@ -153,7 +150,7 @@ class Palpation(EpisodeTask):
             "found": found.astype(np.float64),
             "wrong": (marks & ~found).astype(np.float64),
             "time": np.ones(len(marks)),
-            "force": np.maximum(0.0, force_n - 1.75),
+            "force": np.maximum(0.0, force_n - FORCE_THRESHOLD_N),
         }
         return terms, found, marks
 

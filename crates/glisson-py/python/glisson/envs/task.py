@@ -14,6 +14,15 @@ from glisson import Scene
 Floats = NDArray[np.float64]
 
 
+#: The grip on liver that forceps had on average (doi 10.1080/13645706.2020.1755313) [N].
+FORCE_THRESHOLD_N = 1.75
+
+
+def millimetres(x_m: float) -> str:
+    """A length as a scene file has it."""
+    return f"{1e3 * x_m:.4f} mm"
+
+
 @dataclass
 class Episodes:
     """Where the episodes of all environments are; the first axis is that of the environments."""

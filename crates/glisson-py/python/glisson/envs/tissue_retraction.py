@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glisson import Scene, scene_from_dict
-from glisson.envs.task import EpisodeTask, Episodes, Floats, Seen
+from glisson.envs.task import FORCE_THRESHOLD_N, EpisodeTask, Episodes, Floats, Seen, millimetres
 
 #: Half of the flap's length, thickness and width [m]. A choice.
 HALF_M = np.array([0.030, 0.003, 0.020])
@@ -23,17 +23,11 @@ HIGHEST_M = np.array([0.020, 0.010, 0.060])
 #: From the tip towards the handle, and how the jaws are turned about it [rad].
 SHAFT = np.array([0.0, -0.3, 1.0]) / np.hypot(0.3, 1.0)
 ROLL_RAD = np.pi / 2
-#: The grip on liver that forceps had on average (doi 10.1080/13645706.2020.1755313) [N].
-FORCE_THRESHOLD_N = 1.75
 #: The point that is held has to come so near to its goal [m].
 REACHED_M = 0.004
 #: The tip moves so far in a step at most [m], and the jaws so much of their opening.
 STRIDE_M = 0.004
 JAW_STRIDE = 0.25
-
-
-def _mm(x_m: float) -> str:
-    return f"{1e3 * x_m:.4f} mm"
 
 
 class TissueRetraction(EpisodeTask):
@@ -64,7 +58,7 @@ class TissueRetraction(EpisodeTask):
         self.edge_m = edge_m
 
     def scenes(self) -> list[Scene]:
-        low, high = ([_mm(sign * half) for half in HALF_M] for sign in (-1, 1))
+        low, high = ([millimetres(sign * half) for half in HALF_M] for sign in (-1, 1))
         margin = 1.5 * self.edge_m
         scene = {
             "glisson_scene": 1,
@@ -72,13 +66,13 @@ class TissueRetraction(EpisodeTask):
             "simulation": {"time_step": "10 ms"},
             "organ": {
                 "box": {"min": low, "max": high},
-                "edge": _mm(self.edge_m),
+                "edge": millimetres(self.edge_m),
                 "tissue": "liver",
                 "model": "implicit",
                 "law": "stable_neo_hooke",
                 "damping": "20 1/s",
                 "fixed": [
-                    {"box": {"min": [_mm(-0.1)] * 3, "max": [_mm(0.1), _mm(0.1), _mm(-HALF_M[2] + 0.5 * margin)]}},
+                    {"box": {"min": [millimetres(-0.1)] * 3, "max": [millimetres(0.1), millimetres(0.1), millimetres(-HALF_M[2] + 0.5 * margin)]}},
                 ],
             },
             "tool": [
@@ -119,7 +113,7 @@ class TissueRetraction(EpisodeTask):
 
     def observe(self, episodes: Episodes, seen: Seen) -> Floats:
         tip_m, edge_m = seen.poses[:, 0, :3], seen.tracked_m.mean(axis=1)
-        jaws, held = seen.poses[:, 0, 7:8], seen.n_held[:, :1] > 0
+        jaws, held = seen.poses[:, 0, 7:8], (seen.n_held[:, :1] > 0).astype(np.float64)
         to_goal_m = episodes.goals["goal_m"] - edge_m
         return np.hstack([tip_m, jaws, held, edge_m - tip_m, to_goal_m, seen.forces_n[:, 0]])
 

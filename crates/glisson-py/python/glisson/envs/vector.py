@@ -8,10 +8,24 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
+from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from glisson import Worlds
 from glisson.envs.task import EpisodeTask, Episodes, Floats, Seen
+
+
+RENDER_MODES = ["rgb_array"]
+
+
+def checked_render_mode(mode: str | None) -> str | None:
+    if mode is not None and mode not in RENDER_MODES:
+        raise ValueError(f"there is no render_mode {mode!r}; there is: {', '.join(RENDER_MODES)}")
+    return mode
+
+
+#: Width and height of pictures [pixels].
+PICTURE_SIZE = (320, 240)
 
 
 class Stepped(NamedTuple):
@@ -40,7 +54,7 @@ class EpisodeBatch:
         self.steps_per_action = max(1, round(1.0 / (task.control_rate_hz * time_step_s)))
         # The world of each environment.
         self.active = np.arange(num_envs) * self.n_variants
-        self.randoms = [np.random.default_rng() for _ in range(num_envs)]
+        self.randoms = [np_random()[0] for _ in range(num_envs)]
         self.episodes = Episodes(np.zeros((num_envs, 9)), {}, np.zeros(num_envs, dtype=np.int64))
         self.seen: Seen
         #: What is observed now.
@@ -58,10 +72,10 @@ class EpisodeBatch:
     def close(self) -> None:
         self._worlds = None
 
-    def seed(self, seeds: list[int | None]) -> None:
-        for i, seed in enumerate(seeds):
-            if seed is not None:
-                self.randoms[i] = np.random.default_rng(seed)
+    def seed(self, i: int, seed: int | None) -> None:
+        """The episodes of an environment are drawn by this seed from now on; None: as until now."""
+        if seed is not None:
+            self.randoms[i] = np_random(seed)[0]
 
     def begin(self, which: NDArray[np.bool_]) -> None:
         """New episodes in some environments."""
@@ -82,7 +96,13 @@ class EpisodeBatch:
         poses = self.worlds.poses[places]
         poses[:, 0] = self.episodes.hands[numbers]
         self.worlds.place(poses, places)
+        # Those that go on have remembered this moment already.
+        remembered = {name: values[~which].copy() for name, values in self.episodes.memory.items()}
         self._look(which)
+        if remembered:
+            for name, values in remembered.items():
+                self.episodes.memory[name][~which] = values
+            self.observed = self.task.observe(self.episodes, self.seen).astype(np.float32)
 
     def _look(self, fresh: NDArray[np.bool_]) -> None:
         worlds, active = self.worlds, self.active
@@ -113,6 +133,10 @@ class EpisodeBatch:
         cut_off = ~over & (self.episodes.steps >= self.task.most_steps)
         return Stepped(rewards, terms, reached, over, cut_off)
 
+    def pictures(self) -> NDArray[np.uint8]:
+        """Each environment as it is now, (environments, height, width, 3)."""
+        return self.worlds.pictures(*PICTURE_SIZE, worlds=self.active.tolist())
+
     def scripted_actions(self) -> Floats:
         """What who knows all would do now."""
         return np.clip(self.task.scripted(self.episodes, self.seen), -1.0, 1.0)
@@ -128,33 +152,37 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np
         *,
         threads: int | None = None,
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
     ) -> None:
+        self.render_mode = checked_render_mode(render_mode)
         self.batch = EpisodeBatch(task, num_envs, threads)
         self.num_envs = num_envs
-        self.metadata = {"autoreset_mode": AutoresetMode(autoreset_mode), "render_modes": []}
+        self.metadata = {"autoreset_mode": AutoresetMode(autoreset_mode), "render_modes": RENDER_MODES, "render_fps": task.control_rate_hz}
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.single_observation_space = self.batch.observation_space
         self.single_action_space = self.batch.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._over = np.zeros(num_envs, dtype=bool)
+        self._over: NDArray[np.bool_] = np.zeros(num_envs, dtype=bool)
         self._begun = False
 
     def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """New episodes in all environments, or in those of ``options={"reset_mask": ...}``."""
         if isinstance(seed, (int, np.integer)):
+            super().reset(seed=int(seed))
             seed = [int(seed) + i for i in range(self.num_envs)]
-        if seed is not None:
-            if len(seed) != self.num_envs:
-                raise ValueError(f"{len(seed)} seeds for {self.num_envs} environments")
-            self.batch.seed(list(seed))
-        which = np.ones(self.num_envs, dtype=bool)
+        seeds: list[int | None] = [None] * self.num_envs if seed is None else list(seed)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
+        which: NDArray[np.bool_] = np.ones(self.num_envs, dtype=bool)
         if options is not None and "reset_mask" in options:
             which = np.asarray(options["reset_mask"])
             if which.dtype != np.bool_ or which.shape != (self.num_envs,):
                 raise ValueError(f"reset_mask is an array of {self.num_envs} booleans")
             if not self._begun and not which.all():
                 raise ValueError("the first reset is one of all environments")
+        for i in np.flatnonzero(which):
+            self.batch.seed(int(i), seeds[i])
         self.batch.begin(which)
         self._over[which] = False
         self._begun = True
@@ -184,6 +212,9 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np
             ended = self._over.copy()
             final_info = {key: value.copy() for key, value in infos.items() if not key.startswith("_")}
             final_info |= {f"_{key}": ended for key in final_info}
+            # What was said of the last step of an episode is there alone.
+            for name in [name for name in infos if name.startswith("_")]:
+                infos[name] &= ~ended
             self._add(infos, "final_obs", final, ended)
             infos["final_info"], infos["_final_info"] = final_info, ended
             self.batch.begin(ended)
@@ -197,6 +228,9 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np
     def scripted_actions(self) -> NDArray[np.float32]:
         """What who knows all would do now: a demonstration."""
         return self.batch.scripted_actions().astype(np.float32)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        return tuple(self.batch.pictures()) if self.render_mode == "rgb_array" else None
 
     def close_extras(self, **kwargs: Any) -> None:
         self.batch.close()

@@ -95,11 +95,12 @@ pub(crate) fn wheel() -> anyhow::Result<()> {
         fs::remove_dir_all(&wheels).with_context(|| wheels.display().to_string())?;
     }
     let manifest = root().join(SOURCE).join("Cargo.toml");
-    let path = format!("PYTHONPATH={}", root().join(&tools).display());
-    let [manifest, out] = [&manifest, &wheels].map(|path| path.to_string_lossy().into_owned());
-    let maturin =
-        ["-m", "maturin", "build", "--release", "--locked", "--manifest-path", &manifest, "--out", &out];
-    run_within(MAKING, "env", &[&[path.as_str(), &python][..], &maturin].concat())?;
+    // Python's way to start it looks in its own folders alone.
+    let maturin = root().join(&tools).join("bin/maturin");
+    let [manifest, out, maturin] =
+        [&manifest, &wheels, &maturin].map(|path| path.to_string_lossy().into_owned());
+    let build = ["build", "--release", "--locked", "--manifest-path", &manifest, "--out", &out];
+    run_within(MAKING, &maturin, &build)?;
     let wheel = fs::read_dir(&wheels)?.next().context("maturin made no wheel")??.path();
     let found: Vec<&str> = PYTHONS.into_iter().filter(|python| setup::is_there(python)).collect();
     ensure!(!found.is_empty(), "there is none of {}: the wheel is not tried", PYTHONS.join(", "));

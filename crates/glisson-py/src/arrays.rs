@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 /// Numbers of a pose: tip (3), shaft towards the handle (3), roll, jaws, trigger.
 pub(crate) const POSE_LENGTH: usize = 9;
 
-/// The same of rows of this width.
+/// An array of rows of this width, which nobody writes to.
 pub(crate) fn read_only<T: Element>(
     py: Python<'_>,
     values: Vec<T>,

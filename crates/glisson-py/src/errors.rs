@@ -1,5 +1,6 @@
 //! What goes wrong, as Python's exceptions with the program's own words.
 
+use glisson_runtime::simulation::panic_text;
 use pyo3::PyErr;
 use pyo3::create_exception;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -32,8 +33,7 @@ pub(crate) fn of_simulation(error: &anyhow::Error) -> PyErr {
 /// Does something that may break: a panic is told as an error, and does not end the interpreter's thread.
 pub(crate) fn guarded<T>(act: impl FnOnce() -> anyhow::Result<T>) -> anyhow::Result<T> {
     catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|panic| {
-        let text = panic.downcast_ref::<String>().map(String::as_str);
-        let words = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without words");
+        let words = panic_text(panic.as_ref());
         Err(anyhow::anyhow!("the program broke: {words}. Please report this with the scene"))
     })
 }

@@ -7,8 +7,7 @@ mod events;
 mod scripted;
 mod turning;
 
-pub use guard::Broken;
-pub(crate) use guard::panic_text;
+pub use guard::{Broken, panic_text};
 pub use saving::{CannotSave, SavedSimulation};
 pub use turning::{ParameterState, Parameters, Turn};
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glisson import Scene, scene_from_dict
-from glisson.envs.task import FORCE_THRESHOLD_N, EpisodeTask, Episodes, Floats, Seen, millimetres
+from glisson.envs.task import FORCE_THRESHOLD_N, EpisodeTask, Episodes, Floats, Seen, block_of_liver, millimetres
 
 #: Half of the block's length, depth and width [m]. A choice.
 HALF_M = np.array([0.030, 0.010, 0.030])
@@ -63,7 +63,6 @@ class Palpation(EpisodeTask):
         return [self._scene(variant) for variant in range(len(PLACES_M) ** 2)]
 
     def _scene(self, variant: int) -> Scene:
-        low, high = ([millimetres(sign * half) for half in HALF_M] for sign in (-1, 1))
         nodule = {"center": [millimetres(x_m) for x_m in self.nodule_m(variant)], "radius": millimetres(NODULE_RADIUS_M)}
         return scene_from_dict(
             {
@@ -71,12 +70,7 @@ class Palpation(EpisodeTask):
                 "name": "Palpation of a block",
                 "simulation": {"time_step": "10 ms"},
                 "organ": {
-                    "box": {"min": low, "max": high},
-                    "edge": millimetres(self.edge_m),
-                    "tissue": "liver",
-                    "model": "implicit",
-                    "law": "stable_neo_hooke",
-                    "damping": "20 1/s",
+                    **block_of_liver(HALF_M, self.edge_m),
                     "fixed": [{"furthest": {"direction": [0, 1, 0], "fraction": 0.2}}],
                     "part": [{"ball": nodule, "young_modulus": "50 kPa", "poisson_ratio": 0.45}],
                 },

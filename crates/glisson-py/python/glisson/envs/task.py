@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,18 @@ FORCE_THRESHOLD_N = 1.75
 def millimetres(x_m: float) -> str:
     """A length as a scene file has it."""
     return f"{1e3 * x_m:.4f} mm"
+
+
+def block_of_liver(half_m: Floats, edge_m: float) -> dict[str, Any]:
+    """The organ of a scene: a block around the origin, half as long as this along each axis; what holds it is to be added."""
+    return {
+        "box": {"min": [millimetres(-x_m) for x_m in half_m], "max": [millimetres(x_m) for x_m in half_m]},
+        "edge": millimetres(edge_m),
+        "tissue": "liver",
+        "model": "implicit",
+        "law": "stable_neo_hooke",
+        "damping": "20 1/s",
+    }
 
 
 @dataclass

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glisson import Scene, scene_from_dict
-from glisson.envs.task import FORCE_THRESHOLD_N, EpisodeTask, Episodes, Floats, Seen, millimetres
+from glisson.envs.task import FORCE_THRESHOLD_N, EpisodeTask, Episodes, Floats, Seen, block_of_liver, millimetres
 
 #: Half of the flap's length, thickness and width [m]. A choice.
 HALF_M = np.array([0.030, 0.003, 0.020])
@@ -58,19 +58,13 @@ class TissueRetraction(EpisodeTask):
         self.edge_m = edge_m
 
     def scenes(self) -> list[Scene]:
-        low, high = ([millimetres(sign * half) for half in HALF_M] for sign in (-1, 1))
         margin = 1.5 * self.edge_m
         scene = {
             "glisson_scene": 1,
             "name": "Tissue retraction",
             "simulation": {"time_step": "10 ms"},
             "organ": {
-                "box": {"min": low, "max": high},
-                "edge": millimetres(self.edge_m),
-                "tissue": "liver",
-                "model": "implicit",
-                "law": "stable_neo_hooke",
-                "damping": "20 1/s",
+                **block_of_liver(HALF_M, self.edge_m),
                 "fixed": [
                     {"box": {"min": [millimetres(-0.1)] * 3, "max": [millimetres(0.1), millimetres(0.1), millimetres(-HALF_M[2] + 0.5 * margin)]}},
                 ],

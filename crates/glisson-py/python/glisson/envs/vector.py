@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
+from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
-from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from glisson import Worlds
@@ -96,18 +96,16 @@ class EpisodeBatch:
         poses = self.worlds.poses[places]
         poses[:, 0] = self.episodes.hands[numbers]
         self.worlds.place(poses, places)
-        # Those that go on have remembered this moment already.
-        remembered = {name: values[~which].copy() for name, values in self.episodes.memory.items()}
-        self._look(which)
-        if remembered:
-            for name, values in remembered.items():
-                self.episodes.memory[name][~which] = values
-            self.observed = self.task.observe(self.episodes, self.seen).astype(np.float32)
+        self._look(which, which)
 
-    def _look(self, fresh: NDArray[np.bool_]) -> None:
-        worlds, active = self.worlds, self.active
+    def _look(self, moved: NDArray[np.bool_], fresh: NDArray[np.bool_]) -> None:
+        """Sees all; those that did not move have remembered this moment already."""
+        worlds, active, memory = self.worlds, self.active, self.episodes.memory
         self.seen = Seen(worlds.poses[active], worlds.forces_n[active], worlds.n_held[active], worlds.tracked_m[active])
+        remembered = {name: values[~moved].copy() for name, values in memory.items()}
         self.task.remember(self.episodes, self.seen, fresh)
+        for name, values in remembered.items():
+            memory[name][~moved] = values
         self.observed = self.task.observe(self.episodes, self.seen).astype(np.float32)
 
     def step(self, actions: NDArray[Any], which: NDArray[np.bool_]) -> Stepped:
@@ -127,7 +125,7 @@ class EpisodeBatch:
             poses[:, 0] = self.episodes.hands[which]
             self.worlds.step(poses, self.steps_per_action, places)
         self.episodes.steps[which] += 1
-        self._look(np.zeros(self.n, dtype=bool))
+        self._look(which, np.zeros(self.n, dtype=bool))
         terms, reached, over = self.task.terms(self.episodes, self.seen, actions)
         rewards = sum((self.task.reward_weights[name] * term for name, term in terms.items()), start=np.zeros(self.n))
         cut_off = ~over & (self.episodes.steps >= self.task.most_steps)

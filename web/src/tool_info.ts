@@ -20,7 +20,7 @@ export interface OpticsInfo {
 
 export interface ToolInfo {
   readonly name: string;
-  /** probe, grasper, scissors, scalpel, hook, cautery, clipper, endoscope or suction. */
+  /** probe, grasper, scissors, scalpel, hook, cautery, clipper, endoscope, suction or loop. */
   readonly kind: string;
   readonly tip_radius_m: number;
   readonly shaft_radius_m: number;

@@ -12,6 +12,7 @@ mod netns;
 mod network;
 mod peers;
 mod python;
+mod release;
 mod ros2;
 mod served;
 mod setup;
@@ -44,8 +45,9 @@ enum Task {
         #[arg(long)]
         require_ct: bool,
     },
-    /// The long runs: palpation (a million steps with each model, replayed) and edits (20,000 random cuts, grasps and
-    /// tears: 200 seeds over all models that can be cut, their laws and scenes); they write docs/soak.md and docs/soak_edits.md. With GLISSON_SOAK_EDITS_LOG=FILE the seeds of edits that ended
+    /// The long runs: palpation (a million steps with each model, replayed), edits (20,000 random cuts, grasps and
+    /// tears: 200 seeds over all models that can be cut, their laws and scenes), and page-tasks (every task's demonstration in front of a
+    /// page); the first two write docs/soak.md and docs/soak_edits.md. With GLISSON_SOAK_EDITS_LOG=FILE the seeds of edits that ended
     /// are kept there, and a run that was stopped goes on after them; a log of other seeds, or of a version that made
     /// other edits, is refused. GLISSON_SOAK_EDITS_SEEDS=N spreads the edits over N seeds, GLISSON_SOAK_EDITS_SEED=N runs one alone
     Soak {
@@ -83,8 +85,34 @@ enum Task {
     Metrics,
     /// The Python package: builds its module with the release program and runs its tests; `test` does it, too
     Python,
+    /// Environment steps a second of the Python package, beside MuJoCo's flex, which it installs. Not a part of the tests
+    BenchPython {
+        /// What else its script is asked (see crates/glisson-py/benches/environments.py)
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
+    /// Learn an environment of the Python package with PPO of Stable-Baselines3, which it installs: curve, policy and success in out/learn.
+    /// Not a part of the tests
+    Learn {
+        /// What its script is asked: an environment, and options (see crates/glisson-py/examples/learn.py)
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, required = true)]
+        arguments: Vec<String>,
+    },
     /// Make the Python package's wheel, and try it in a clean environment of each Python that is found (3.10 to 3.14)
     Wheel,
+    /// Make the files of a release in target/release-files: licences of all that is linked, what the program is made of (CycloneDX), a
+    /// Debian package, the root of a container, the wheel, and their sums. It installs the cargo commands that it needs into target/tools
+    Release {
+        /// The next version: writes it into the manifests, and what is unreleased in the changelog under it
+        #[arg(required_unless_present = "dry_run")]
+        version: Option<String>,
+        /// Of the version that is there, and nothing is written into the tree
+        #[arg(long, conflicts_with = "version")]
+        dry_run: bool,
+        /// Without the wheel, for which everything is compiled again
+        #[arg(long)]
+        no_wheel: bool,
+    },
     /// Fetch the real CT that the tests use into data/ct (nothing of it enters the repository)
     FetchCt,
 }
@@ -215,7 +243,16 @@ fn main() -> anyhow::Result<()> {
             python::build()?;
             python::check(&python::install()?)
         }
+        Task::BenchPython { arguments } => {
+            python::build()?;
+            python::bench(&arguments)
+        }
+        Task::Learn { arguments } => {
+            python::build()?;
+            python::learn(&arguments)
+        }
         Task::Wheel => python::wheel(),
+        Task::Release { version, dry_run: _, no_wheel } => release::make(version.as_deref(), !no_wheel),
         Task::Peers { sizes, seconds } => peers::measure(&sizes, seconds),
         Task::FetchCt => {
             let folder = ct::fetch()?;

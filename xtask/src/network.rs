@@ -39,6 +39,10 @@ pub(crate) struct Request<'a> {
 pub(crate) fn all(request: &Request<'_>) -> anyhow::Result<()> {
     let mut stages = Stages::default();
     let mut skipped = Vec::new();
+    stages.run("lint with the feature net", || {
+        let lint = [&["clippy"], &FEATURE[..], &["--all-targets", "--", "-D", "warnings"]].concat();
+        run_within(BUILD_LIMIT, "cargo", &lint)
+    })?;
     stages.run("build with the feature net", || {
         // The tests of the command line bring the program with them.
         run_within(BUILD_LIMIT, "cargo", &[&["test", "--no-run"], &FEATURE[..], &TARGETS[..]].concat())
@@ -141,10 +145,12 @@ fn number_in(text: &str, object: &str, name: &str) -> anyhow::Result<f64> {
 }
 
 /// Of the whole workspace, as `cargo xtask test` builds it: nothing is compiled twice.
-const FEATURE: [&str; 4] = ["--locked", "--workspace", "--features", crate::test::NET];
-const TARGETS: [&str; 4] = ["--bin", "glisson", "--test", "command_line"];
+const FEATURE: [&str; 7] =
+    ["--locked", "--package", "glisson-net", "--package", "glisson-cli", "--features", "glisson-cli/net"];
+const TARGETS: [&str; 5] = ["--lib", "--bin", "glisson", "--test", "command_line"];
 
 fn tests() -> anyhow::Result<()> {
+    run_within(TESTS_LIMIT, "cargo", &[&["test"], &FEATURE[..], &["--lib"]].concat())?;
     for name in TESTS {
         run_within(TESTS_LIMIT, "cargo", &[&["test"], &FEATURE[..], &TARGETS[..], &[name]].concat())?;
     }

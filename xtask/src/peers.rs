@@ -7,7 +7,7 @@ use anyhow::Context;
 
 /// Version of each; that of rapier is in its Cargo.toml.
 const RAPIER: &str = "0.36.1";
-const MUJOCO: &str = "4.0.0";
+pub(crate) const MUJOCO: &str = "4.0.0";
 
 /// Installs the others, measures at `sizes` in tetrahedra, `seconds` for each figure, and writes docs/peers.md with its plot.
 pub(crate) fn measure(sizes: &[usize], seconds: f64) -> anyhow::Result<()> {

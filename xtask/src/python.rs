@@ -7,7 +7,17 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// What the tests need beside the package.
-const PACKAGES: [&str; 4] = ["numpy==2.2.6", "gymnasium==1.4.0", "pytest==9.0.1", "mypy==2.4.1"];
+const PACKAGES: [&str; 7] = [
+    "numpy==2.2.6",
+    "gymnasium==1.4.0",
+    "pettingzoo==1.27.0",
+    "pytest==9.0.1",
+    "mypy==2.4.1",
+    "pyarrow==26.0.1",
+    "ray==2.60.0",
+];
+/// What learning needs beside it.
+const LEARNING: [&str; 3] = ["stable-baselines3==2.9.2", "torch==2.15.0", "gymnasium==1.4.0"];
 const MATURIN: &str = "maturin==1.16.0";
 /// Where the package lies in the repository.
 const SOURCE: &str = "crates/glisson-py";
@@ -34,7 +44,7 @@ pub(crate) fn install() -> anyhow::Result<String> {
     let is_enough = ["-c", "import sys; sys.exit(sys.version_info < (3, 10))"];
     ensure!(run(&python, &is_enough).is_ok(), "the Python package is for Python 3.10 or later: install one");
     let packages = folder().join("packages");
-    if !packages.join("mypy").exists() {
+    if !packages.join("ray").exists() {
         pip_install(&python, &packages.to_string_lossy(), &PACKAGES)?;
     }
     Ok(python)
@@ -42,7 +52,57 @@ pub(crate) fn install() -> anyhow::Result<String> {
 
 /// Runs the tests on the module that was built with the release program, with the Python of [`install`].
 pub(crate) fn check(python: &str) -> anyhow::Result<()> {
-    let package = folder().join("module").join("glisson");
+    let words = words_for(python, &folder().join("packages"))?;
+    let with_words = |more: &[&str]| {
+        run_within(CHECKING, "env", &[&words.each_ref().map(String::as_str)[..], more].concat())
+    };
+    let tests = root().join(SOURCE).join("tests").to_string_lossy().into_owned();
+    with_words(&["-m", "pytest", "-q", "-p", "no:cacheprovider", "--durations=5", &tests])?;
+    // Its types, as its users check theirs against them.
+    let package = root().join(module()).to_string_lossy().into_owned();
+    let cache = folder().join("mypy").to_string_lossy().into_owned();
+    with_words(&["-m", "mypy", "--strict", "--no-error-summary", "--cache-dir", &cache, &package])
+}
+
+/// Measures the environments.
+pub(crate) fn bench(arguments: &[String]) -> anyhow::Result<()> {
+    let python = setup::require(&["python3", "python"], "python3", "measuring the Python package")?;
+    let packages = folder().join("bench");
+    if !packages.join("mujoco").exists() {
+        let mujoco = format!("mujoco-core=={}", crate::peers::MUJOCO);
+        pip_install(&python, &packages.to_string_lossy(), &[&PACKAGES[..], &[&mujoco]].concat())?;
+    }
+    let script = root().join(SOURCE).join("benches/environments.py").to_string_lossy().into_owned();
+    let peer = root().join("xtask/peers/mujoco_flex.py").to_string_lossy().into_owned();
+    run_python(&python, &packages, &[&script, "--mujoco", &peer], arguments)
+}
+
+/// Learns an environment.
+pub(crate) fn learn(arguments: &[String]) -> anyhow::Result<()> {
+    let python = setup::require(&["python3", "python"], "python3", "learning")?;
+    let packages = folder().join("learning");
+    if !packages.join("stable_baselines3").exists() {
+        pip_install(&python, &packages.to_string_lossy(), &LEARNING)?;
+    }
+    let script = root().join(SOURCE).join("examples/learn.py").to_string_lossy().into_owned();
+    run_python(&python, &packages, &[&script], arguments)
+}
+
+fn run_python(python: &str, packages: &Path, script: &[&str], arguments: &[String]) -> anyhow::Result<()> {
+    let words = words_for(python, packages)?;
+    let words = words.each_ref().map(String::as_str);
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    run("env", &[&words[..], script, &arguments].concat())
+}
+
+/// Where the package with the module that was built lies.
+fn module() -> PathBuf {
+    folder().join("module").join("glisson")
+}
+
+/// Lays the package with the module that was built beside what it needs: the words for `env` that run a Python with both.
+fn words_for(python: &str, packages: &Path) -> anyhow::Result<[String; 4]> {
+    let package = module();
     if package.exists() {
         fs::remove_dir_all(&package).with_context(|| package.display().to_string())?;
     }
@@ -51,23 +111,14 @@ pub(crate) fn check(python: &str) -> anyhow::Result<()> {
     let module = target().join("release").join(built);
     let there = package.join("_glisson.abi3.so");
     fs::copy(&module, &there).with_context(|| format!("{} to {}", module.display(), there.display()))?;
-    let folders = [folder().join("module"), root().join(target()).join("python-check/packages")];
+    let folders = [folder().join("module"), packages.to_path_buf()];
     let path = std::env::join_paths(folders.map(|folder| root().join(folder)))?;
-    let words = [
+    Ok([
         format!("PYTHONPATH={}", path.display()),
         "PYTHONDONTWRITEBYTECODE=1".to_owned(),
         format!("GLISSON_PROGRAM={}", root().join(program()).display()),
         python.to_owned(),
-    ];
-    let with_words = |more: &[&str]| {
-        run_within(CHECKING, "env", &[&words.each_ref().map(String::as_str)[..], more].concat())
-    };
-    let tests = root().join(SOURCE).join("tests").to_string_lossy().into_owned();
-    with_words(&["-m", "pytest", "-q", "-p", "no:cacheprovider", "--durations=5", &tests])?;
-    // Its types, as its users check theirs against them.
-    let package = root().join(&package).to_string_lossy().into_owned();
-    let cache = folder().join("mypy").to_string_lossy().into_owned();
-    with_words(&["-m", "mypy", "--strict", "--no-error-summary", "--cache-dir", &cache, &package])
+    ])
 }
 
 fn copy_folder(from: &Path, to: &Path) -> anyhow::Result<()> {
@@ -119,7 +170,7 @@ fn try_wheel(python: &str, wheel: &Path) -> anyhow::Result<()> {
     let [place, wheel] = [&environment, &wheel.to_path_buf()].map(|path| path.to_string_lossy().into_owned());
     run(python, &["-m", "venv", &place])?;
     let inside = environment.join("bin/python").to_string_lossy().into_owned();
-    let wanted = [&wheel, "gymnasium", "pytest"];
+    let wanted = [&wheel, "gymnasium", "pettingzoo", "pytest", "pyarrow"];
     run_within(crate::INSTALLING, &inside, &[&["-m", "pip", "install", "--quiet"], &wanted[..]].concat())?;
     let import = "import time; a = time.perf_counter(); import glisson; b = time.perf_counter() - a; \
                   print(f'imported in {1e3 * b:.0f} ms'); assert b < 0.3";

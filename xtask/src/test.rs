@@ -10,10 +10,6 @@ use std::time::{Duration, Instant};
 
 /// How long a server may take to say where it is: set-up pre-computes a liver.
 pub(crate) const SERVER_START: Duration = Duration::from_secs(120);
-/// The optional network, from the workspace's root.
-pub(crate) const NET: &str = "glisson-cli/net";
-/// Every feature there is.
-const EVERYTHING: &str = "glisson-cli/net,glisson-cli/full-size-tests";
 
 /// Stages that ran, and how long each took [s].
 #[derive(Default)]
@@ -61,36 +57,21 @@ pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
     })?;
     stages.run("ffmpeg", setup::ffmpeg)?;
     stages.run("viewer: types, lint, unit tests, build", viewer)?;
-    // One build with everything in it; without the network only `glisson-net` and its users are other code.
+    // Without zenoh and ROS 2, 200 more packages: `cargo xtask network` has those.
     stages.run("lint", || {
-        let all =
-            ["--workspace", "--all-targets", "--features", EVERYTHING, "--locked", "--", "-D", "warnings"];
-        run("cargo", &[&["clippy"], &all[..]].concat())
+        let lint = |what: &[&str]| {
+            let common = ["clippy", "--workspace", "--locked"];
+            run("cargo", &[&common[..], what, &["--", "-D", "warnings"]].concat())
+        };
+        lint(&["--all-targets"])?;
+        // They are no target of all, but run where they are asked for by name.
+        lint(&["--test", "full_size"])
     })?;
-    stages.run("lint without the network", || {
-        run(
-            "cargo",
-            &["clippy", "--package", "glisson-net", "--all-targets", "--locked", "--", "-D", "warnings"],
-        )
-    })?;
-    // With zenoh and ROS 2. The release program below is the one without.
-    stages.run("unit and integration tests", || tests(&["--workspace", "--features", NET]))?;
-    stages.run("documentation's examples", || {
-        run("cargo", &["test", "--doc", "--workspace", "--locked", "--features", NET])
-    })?;
+    stages.run("unit and integration tests", || tests(&["--workspace", "--tests"]))?;
+    stages.run("documentation's examples", || run("cargo", &["test", "--doc", "--workspace", "--locked"]))?;
     stages.run("release build", python::build)?;
     stages.run("full-size tests", || {
-        tests(&[
-            "--release",
-            "--package",
-            "glisson-cli",
-            "--package",
-            "glisson-py",
-            "--features",
-            "glisson-cli/full-size-tests",
-            "--test",
-            "full_size",
-        ])
+        tests(&["--release", "--package", "glisson-cli", "--package", "glisson-py", "--test", "full_size"])
     })?;
     // With programs that are fetched: without a network there is nothing to compare with.
     let comparisons: [(&str, Install, Compare); 3] = [
@@ -141,9 +122,6 @@ fn tests(arguments: &[&str]) -> anyhow::Result<()> {
     let mut all = if nextest { vec!["nextest", "run"] } else { vec!["test"] };
     all.push("--locked");
     all.extend(arguments);
-    if !nextest && !arguments.contains(&"--test") {
-        all.push("--all-targets");
-    }
     run("cargo", &all)
 }
 
@@ -154,6 +132,8 @@ pub(crate) enum LongRun {
     Palpation,
     /// 20,000 random edits: 200 seeds over all models that can be cut.
     Edits,
+    /// Every task's demonstration in front of a page; `test` shows some of them.
+    PageTasks,
 }
 
 /// Makes a long run of `steps`, or of its own length.
@@ -167,15 +147,21 @@ pub(crate) fn soak(what: LongRun, steps: Option<u64>) -> anyhow::Result<()> {
             let variables = ["GLISSON_SOAK_EDITS", "GLISSON_SOAK_EDITS_REPORT"];
             ("soak_edits::", "docs/soak_edits.md", variables, 20_000)
         }
+        LongRun::PageTasks => {
+            python::build()?;
+            setup::web_packages()?;
+            run_in(&root().join("web"), "npm", &["run", "build"])?;
+            return tasks(&setup::chromium()?, "all");
+        }
     };
     let (report, steps) = (root().join(file), steps.unwrap_or(own_steps));
     if matches!(what, LongRun::Edits) {
         ct::fetch()?;
     }
-    println!("$ cargo test --release --features full-size-tests --test full_size {test} ({steps} steps)");
+    println!("$ cargo test --release --test full_size {test} ({steps} steps)");
     let status = Command::new("cargo")
         .args(["test", "--release", "--locked", "--package", "glisson-cli"])
-        .args(["--features", "full-size-tests", "--test", "full_size", test, "--", "--nocapture"])
+        .args(["--test", "full_size", test, "--", "--nocapture"])
         .current_dir(root())
         .env(variables[0], steps.to_string())
         .env(variables[1], &report)
@@ -212,7 +198,7 @@ fn browser(scene: &Path) -> anyhow::Result<()> {
         anyhow::ensure!(status.success(), "the browser test failed ({status}): {tests} {}", more.join(" "));
     }
     theatre(scene, &chromium)?;
-    tasks(&chromium)?;
+    tasks(&chromium, "usual")?;
     start(&chromium)?;
     accessibility(&chromium)?;
     replay(scene, &chromium)
@@ -227,7 +213,7 @@ fn replay(demo_scene: &Path, chromium: &Path) -> anyhow::Result<()> {
     let program = program.to_string_lossy();
     run(&program, &["task", "run", "palpation", "--headless", "--out", &out])?;
     run(&program, &["export", &session, "--html", &page_name, "--check"])?;
-    browser_test("test:replay", chromium, "GLISSON_REPLAY", root().join(&page).as_os_str())
+    browser_test("test:replay", chromium, &[("GLISSON_REPLAY", root().join(&page).as_os_str())])
 }
 
 /// The view through an endoscope, of the same liver in a scene of its own.
@@ -237,33 +223,41 @@ fn theatre(demo_scene: &Path, chromium: &Path) -> anyhow::Result<()> {
         .with_context(|| scene.display().to_string())?;
     let server = Served::serve(&program(), &scene, &[])?;
     let address = format!("http://{}", server.says_after("http://", SERVER_START)?);
-    browser_test("test:theatre", chromium, "GLISSON_THEATRE_URL", address.as_ref())
+    browser_test("test:theatre", chromium, &[("GLISSON_THEATRE_URL", address.as_ref())])
 }
 
-/// The tasks that come with the program, each done by its demonstration in front of a page.
-fn tasks(chromium: &Path) -> anyhow::Result<()> {
-    browser_test("test:tasks", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
+/// Tasks that come with the program, each done by its demonstration in front of a page: the usual ones, or all.
+fn tasks(chromium: &Path, which: &str) -> anyhow::Result<()> {
+    let program = root().join(program());
+    browser_test(
+        "test:tasks",
+        chromium,
+        &[("GLISSON_PROGRAM", program.as_os_str()), ("GLISSON_TASKS", which.as_ref())],
+    )
 }
 
 /// The page that one begins with: to a task, to a new patient, and back; what a laboratory has beside the picture; and a class.
 fn start(chromium: &Path) -> anyhow::Result<()> {
-    browser_test("test:start", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())?;
-    browser_test("test:laboratory", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())?;
-    browser_test("test:class", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
+    let program = root().join(program());
+    ["test:start", "test:laboratory", "test:class"]
+        .into_iter()
+        .try_for_each(|tests| browser_test(tests, chromium, &[("GLISSON_PROGRAM", program.as_os_str())]))
 }
 
 /// What axe-core finds on every page.
 fn accessibility(chromium: &Path) -> anyhow::Result<()> {
-    browser_test("test:accessibility", chromium, "GLISSON_PROGRAM", root().join(program()).as_os_str())
+    browser_test("test:accessibility", chromium, &[("GLISSON_PROGRAM", root().join(program()).as_os_str())])
 }
 
-/// Runs a browser test that needs to know one thing.
-fn browser_test(tests: &str, chromium: &Path, variable: &str, value: &OsStr) -> anyhow::Result<()> {
-    println!("$ npm run {tests} ({variable}={})", value.display());
+/// Runs a browser test with what it needs to know.
+fn browser_test(tests: &str, chromium: &Path, variables: &[(&str, &OsStr)]) -> anyhow::Result<()> {
+    let told: Vec<String> =
+        variables.iter().map(|(name, value)| format!("{name}={}", value.display())).collect();
+    println!("$ npm run {tests} ({})", told.join(" "));
     let status = Command::new("npm")
         .args(["run", tests])
         .current_dir(root().join("web"))
-        .env(variable, value)
+        .envs(variables.iter().copied())
         .env("CHROMIUM", chromium)
         .status()
         .context("cannot start npm")?;

@@ -12,7 +12,9 @@
 mod errors;
 mod runner;
 mod arrays;
+mod program;
 mod scene;
+mod sessions;
 mod world;
 mod worlds;
 
@@ -31,5 +33,8 @@ fn _glisson(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<world::PySaved>()?;
     module.add_class::<worlds::PyWorlds>()?;
     module.add_function(wrap_pyfunction!(scene::task_names, module)?)?;
+    module.add_function(wrap_pyfunction!(program::run_program, module)?)?;
+    module.add_function(wrap_pyfunction!(program::_run_main, module)?)?;
+    module.add_function(wrap_pyfunction!(sessions::replay_session, module)?)?;
     Ok(())
 }

@@ -1,10 +1,12 @@
 //! Scenes: what a world is made from.
 
+use crate::arrays::{POSE_LENGTH, numbers_of, read_only};
 use crate::errors::of_scene;
 use anyhow::{Context, anyhow};
-use glisson::scene::{Choice, Scene, choose};
+use glisson::scene::{Choice, Scene, choose, with_patient};
 use glisson_runtime::OpenScene;
 use glisson_runtime::tasks::{TASKS, task_named};
+use numpy::PyArray2;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
@@ -85,6 +87,28 @@ impl PyScene {
         Self::read(text, PathBuf::from("."), format!("task {name}"))
     }
 
+    /// This scene with other values, JSON of paths to values; `glisson.vary` is made of it.
+    #[pyo3(signature = (json, patient = None))]
+    fn _varied(&self, json: &str, patient: Option<u32>) -> PyResult<Self> {
+        let varied = || -> anyhow::Result<String> {
+            let mut text = self.text.clone();
+            if let Some(patient) = patient {
+                text = with_patient(&text, patient)?;
+            }
+            let values: Vec<(String, toml::Value)> = serde_json::from_str(json)?;
+            if values.is_empty() {
+                return Ok(text);
+            }
+            let mut document = toml::Value::Table(text.parse()?);
+            for (path, value) in values {
+                *value_at(&mut document, &path)? = value;
+            }
+            Ok(toml::to_string(&document)?)
+        };
+        let text = varied().map_err(|error| of_scene(&error.context(self.origin.clone())))?;
+        Self::read(text, self.folder.clone(), self.origin.clone())
+    }
+
     /// The scene file's text.
     #[getter]
     fn text(&self) -> &str {
@@ -115,16 +139,90 @@ impl PyScene {
         self.scene.world.tools.iter().map(|tool| tool.name.clone()).collect()
     }
 
+    /// Whether it says what is to be done.
+    #[getter]
+    fn has_task(&self) -> bool {
+        self.scene.task.is_some()
+    }
+
+    /// Kinds of its instruments as its file names them, in their order.
+    #[getter]
+    fn tool_kinds(&self) -> Vec<&'static str> {
+        self.scene.world.tools.iter().map(|tool| tool.kind.name()).collect()
+    }
+
+    /// When the paths of its instruments end that its file has, a demonstration [s]; None without paths.
+    #[getter]
+    fn demonstration_ends_s(&self) -> Option<f64> {
+        self.scene.end_of_paths_s()
+    }
+
+    /// Where the demonstration has the instruments at a time, (instruments, 9).
+    fn demonstration(&self, py: Python<'_>, time_s: f64) -> PyResult<Py<PyArray2<f64>>> {
+        let tools = self.scene.input_at(time_s).tools;
+        let numbers: Vec<f64> = tools[..self.scene.world.tools.len()].iter().flat_map(numbers_of).collect();
+        Ok(read_only(py, numbers, POSE_LENGTH)?.unbind())
+    }
+
+    /// Numbers of the instruments that set a clip in the demonstration after a time and not after another [s].
+    fn demonstrated_clips(&self, from_s: f64, to_s: f64) -> Vec<usize> {
+        self.scene.clips_between(from_s, to_s).collect()
+    }
+
     fn __repr__(&self) -> String {
         let tools = self.tool_names().join(", ");
         format!("<glisson.Scene \"{}\", instruments: {tools}>", self.scene.world.name)
     }
 
-    fn __reduce__(slf: &Bound<'_, Self>) -> PyResult<(Py<PyAny>, (String, PathBuf))> {
-        let parse = slf.get_type().getattr("parse")?.unbind();
-        let scene = slf.get();
-        Ok((parse, (scene.text.clone(), scene.folder.clone())))
+    /// A scene that was pickled, or is looked at from another folder.
+    #[staticmethod]
+    fn _again(text: String, folder: PathBuf, origin: String) -> PyResult<Self> {
+        Self::read(text, folder, origin)
     }
+
+    /// The same scene whose files are found from another folder.
+    fn _in_folder(&self, folder: PathBuf) -> PyResult<Self> {
+        Self::read(self.text.clone(), folder, self.origin.clone())
+    }
+
+    fn __reduce__(slf: &Bound<'_, Self>) -> PyResult<(Py<PyAny>, (String, PathBuf, String))> {
+        let again = slf.get_type().getattr("_again")?.unbind();
+        let scene = slf.get();
+        Ok((again, (scene.text.clone(), scene.folder.clone(), scene.origin.clone())))
+    }
+}
+
+/// What is at a path of a scene file: names of tables and keys, numbers of what is in a list, with dots between. The last key may be new.
+fn value_at<'a>(document: &'a mut toml::Value, path: &str) -> anyhow::Result<&'a mut toml::Value> {
+    let mut at = document;
+    let mut keys = path.split('.').peekable();
+    while let Some(key) = keys.next() {
+        at = match at {
+            toml::Value::Table(table) => {
+                if keys.peek().is_none() {
+                    return Ok(table.entry(key).or_insert(toml::Value::Boolean(false)));
+                }
+                let known: Vec<String> = table.keys().cloned().collect();
+                let known: Vec<&str> = known.iter().map(String::as_str).collect();
+                let suggestion = glisson::text::did_you_mean(key, &known);
+                let there = known.join(", ");
+                table.get_mut(key).with_context(|| {
+                    format!("\"{path}\" leads to nothing: there is no {key}{suggestion}; there are: {there}")
+                })?
+            }
+            toml::Value::Array(list) => {
+                let n = list.len();
+                let number = key.parse::<usize>().ok().and_then(|number| list.get_mut(number));
+                number.with_context(|| {
+                    format!("\"{path}\" leads to nothing: {key} is in a list of {n}, counted from 0")
+                })?
+            }
+            _ => anyhow::bail!(
+                "\"{path}\" leads to nothing: what is before {key} is neither a table nor a list"
+            ),
+        };
+    }
+    Ok(at)
 }
 
 /// Names of the tasks that come with the program.

@@ -2,9 +2,10 @@
 
 use crate::arrays::{POSE_LENGTH, flat, gathered, numbers_of, picture_kind, poses_of, read_only};
 use crate::errors::{SimulationError, guarded, of_scene, of_simulation, try_lock};
-use crate::runner::{Runner, Saved};
+use crate::runner::{Runner, Saved, blood_lost_m3};
 use crate::scene::PyScene;
 use glisson::mesh::TetId;
+use glisson::record::inside::Field;
 use glisson::record::snapshot::ContactPoints;
 use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArrayDyn};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -53,6 +54,14 @@ impl PyWorld {
     /// Looks at the world.
     fn look<T: Send>(&self, py: Python<'_>, see: impl FnOnce(&Runner) -> T + Send) -> PyResult<T> {
         self.with(py, |runner| Ok(see(runner)))
+    }
+
+    fn at_nodes(&self, py: Python<'_>, field: Field) -> PyResult<Py<PyArray1<f64>>> {
+        let values = self.with(py, |runner| {
+            let inside = runner.inside();
+            Ok(inside.interior.at_nodes(field, &inside.positions_m))
+        })?;
+        gathered(py, values.len(), values)
     }
 
     fn vectors(
@@ -108,6 +117,17 @@ impl PyWorld {
         let n_tools = self.scene.get().parsed().world.tools.len();
         let wanted = poses.map(|poses| poses_of(&poses, (None, n_tools))).transpose()?;
         self.with(py, |runner| runner.step(n, wanted.as_ref().map(|poses| &poses[0][..])))
+    }
+
+    /// Leads the hands along the `[[tool.path]]` of the scene from where time is until `until_s`, to their end without it, and sets the clips
+    /// on the way, as `glisson task run --headless` does. It ends before where they end, or the scene's task; whether there is more.
+    #[pyo3(signature = (until_s = f64::INFINITY))]
+    fn demonstrate(&self, py: Python<'_>, until_s: f64) -> PyResult<bool> {
+        if until_s.is_nan() {
+            return Err(PyValueError::new_err("until_s is not a number; give a time in s"));
+        }
+        let scene = self.scene.get().parsed();
+        self.with(py, |runner| runner.demonstrate(scene, until_s))
     }
 
     /// Makes a step with the hands put to `poses`, without touching anything on the way.
@@ -276,6 +296,24 @@ impl PyWorld {
         gathered(py, held.len(), held)
     }
 
+    /// Tension of the loop of each instrument [N], (instruments,); zero where it has none.
+    #[getter]
+    fn loop_tensions_n(&self, py: Python<'_>) -> PyResult<Py<PyArray1<f64>>> {
+        let of_each = |runner: &Runner| {
+            let world = runner.world();
+            (0..world.tools().len()).map(|tool| world.loop_tension_n(tool)).collect::<Vec<f64>>()
+        };
+        let tensions_n = self.look(py, of_each)?;
+        gathered(py, tensions_n.len(), tensions_n)
+    }
+
+    /// Length of the thread of each loop that is tied off, around what it is around now and around the same at rest [m], (loops, 2).
+    #[getter]
+    fn tied_girths_m(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
+        let girths_m = self.look(py, |runner| runner.world().tied_girths_m().collect::<Vec<_>>())?;
+        gathered(py, (girths_m.len(), 2), girths_m.into_flattened())
+    }
+
     /// Where surfaces bear forces, the greatest first: places [m], normals, forces on what touches [N], each (contacts, 3), and the
     /// number of the instrument or body that touches, (contacts,).
     #[expect(clippy::type_complexity, reason = "four arrays")]
@@ -306,12 +344,61 @@ impl PyWorld {
         gathered(py, (height, width, 3), rgb)
     }
 
+    /// What a picture shows at the middle of each pixel: how deep along the view [m], 0 where there is nothing, (height, width); and what
+    /// it is, (height, width): 0 nothing, 1 an instrument, 2 a thread, clip, strand or drop of blood, 3 a face of a cut, 4 and more the
+    /// skin of the first body and of the next ones.
+    #[pyo3(signature = (width = 640, height = 480, view = "outside"))]
+    #[expect(clippy::type_complexity, reason = "two arrays")]
+    fn layers(
+        &self,
+        py: Python<'_>,
+        width: usize,
+        height: usize,
+        view: &str,
+    ) -> PyResult<(Py<PyArray2<f32>>, Py<PyArray2<u8>>)> {
+        let kind = picture_kind(view, width, height)?;
+        let layers = self.with(py, |runner| runner.layers(kind))?;
+        Ok((gathered(py, (height, width), layers.depths_m)?, gathered(py, (height, width), layers.kinds)?))
+    }
+
+    /// Greatest strain of the surface, its area at rest that is strained beyond what tears the capsule of livers (0.47) [m2], tissue taken
+    /// out [m3], blood lost [m3], (4,); the first two are those of now.
+    #[getter]
+    fn damage(&self, py: Python<'_>) -> PyResult<Py<PyArray1<f64>>> {
+        let damage = self.with(py, |runner| Ok(runner.damage()))?;
+        gathered(py, 4, damage.to_vec())
+    }
+
+    /// So many points of the surface as it is drawn [m], (points, 3): vertices, spread evenly over their numbers.
+    fn cloud(&self, py: Python<'_>, points: usize) -> PyResult<Py<PyArray2<f64>>> {
+        self.vectors(py, |runner| flat(runner.cloud_m(points)), 3)
+    }
+
+    /// Equivalent strain at each node, (nodes,): the mean of the tetrahedra around it by their volumes at rest.
+    #[getter]
+    fn strain(&self, py: Python<'_>) -> PyResult<Py<PyArray1<f64>>> {
+        self.at_nodes(py, Field::Strain)
+    }
+
+    /// Von Mises stress at each node [Pa], (nodes,): the mean of the tetrahedra around it by their volumes at rest.
+    #[getter]
+    fn stress_pa(&self, py: Python<'_>) -> PyResult<Py<PyArray1<f64>>> {
+        self.at_nodes(py, Field::Stress)
+    }
+
+    /// Elastic energy of all that deforms, and kinetic energy [J].
+    #[getter]
+    fn energies_j(&self, py: Python<'_>) -> PyResult<(f64, f64)> {
+        self.with(py, |runner| {
+            let inside = runner.inside();
+            Ok((inside.interior.elastic_energy_j(&inside.positions_m), inside.kinetic_energy_j))
+        })
+    }
+
     /// Blood lost so far [m3].
     #[getter]
     fn blood_lost_m3(&self, py: Python<'_>) -> PyResult<f64> {
-        self.look(py, |runner| {
-            runner.world().vessels().map_or(0.0, glisson::world::vessels::Vessels::lost_m3)
-        })
+        self.look(py, |runner| blood_lost_m3(runner.world()))
     }
 
     /// Volume of tissue taken out so far [m3].

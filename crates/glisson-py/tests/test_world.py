@@ -2,8 +2,11 @@
 
 import os
 import pickle
+import signal
 import subprocess
+import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -312,3 +315,62 @@ def test_who_uses_worlds_that_step_is_told(scene):
 
     assert refusals_while(lambda: worlds.step(poses, 400), look) > 0
     assert worlds.times_s == pytest.approx([0.8, 0.8])
+
+
+def test_what_is_inside_is_told_and_a_session_replays(tmp_path, scene):
+    session = tmp_path / "session.jsonl"
+    with glisson.World(scene, record=session) as world:
+        assert world.strain.shape == world.stress_pa.shape == (len(world.positions_m),)
+        assert np.abs(world.strain).max() < 1e-12 and sum(world.energies_j) < 1e-15
+        world.step(100, pressed(world))
+        assert 0.05 < world.strain.max() < 2.0 and 100.0 < world.stress_pa.max() < 1e5
+        elastic_j, kinetic_j = world.energies_j
+        assert 1e-5 < elastic_j < 1e-2 and 0.0 < kinetic_j < elastic_j
+        recorded = world.close()
+    assert glisson.replay_session(session) == recorded
+    broken = tmp_path / "broken.jsonl"
+    broken.write_text(session.read_text()[:200])
+    with pytest.raises(glisson.SimulationError, match="broken.jsonl"):
+        glisson.replay_session(broken)
+
+
+def test_the_program_is_in_the_package(tmp_path, capfd):
+    python = [sys.executable, "-m", "glisson"]
+    said = subprocess.run([*python, "task", "list"], capture_output=True, text=True, check=True).stdout
+    assert all(task in said for task in glisson.task_names())
+    help_text = subprocess.run([*python, "--help"], capture_output=True, text=True, check=True).stdout
+    assert "Usage: glisson" in help_text
+    wrong = subprocess.run([*python, "meshh"], capture_output=True, text=True)
+    assert wrong.returncode == 2 and "mesh" in wrong.stderr
+    # Within a program of one's own: from a picture of a body to a mesh.
+    patient, mesh = tmp_path / "patient", tmp_path / "liver.msh"
+    assert glisson.run_program(["phantom", "--voxel-mm", "8", "--out", patient]) == 0
+    assert glisson.run_program(["mesh", tmp_path / "none.stl", "-o", mesh]) == 1
+    assert "none.stl" in capfd.readouterr().err and any(patient.iterdir()) and not mesh.exists()
+
+
+def test_the_program_ends_where_nobody_reads_and_at_ctrl_c():
+    if not sys.platform.startswith("linux"):
+        pytest.skip("signals as on Linux")
+    command = f"'{sys.executable}' -m glisson task list | head -n 1; echo ${{PIPESTATUS[0]}}"
+    said = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
+    assert said.stdout.splitlines()[-1] == "0" and said.stderr == ""
+    started = subprocess.Popen([sys.executable, "-m", "glisson", "validate", "tasks"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    time.sleep(1.5)
+    started.send_signal(signal.SIGINT)
+    assert started.wait(20) == -signal.SIGINT
+
+
+def test_strain_after_coming_back_is_that_of_what_is_there_now(scene):
+    def strained(world, removed):
+        world.remove([removed])
+        world.step(5, pressed(world))
+        return world.strain
+
+    with glisson.World(scene) as world, glisson.World(scene) as other:
+        saved = world.save()
+        first = strained(world, 3)
+        world.restore(saved)
+        second = strained(world, 7)
+        np.testing.assert_array_equal(second, strained(other, 7))
+        assert not np.array_equal(first, second)

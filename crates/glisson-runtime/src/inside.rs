@@ -47,7 +47,7 @@ impl fmt::Debug for Inside {
 
 impl Inside {
     /// That of a simulation now; what still holds of the one before is shared.
-    pub(crate) fn of(simulation: &Simulation, before: Option<&Self>) -> Self {
+    pub fn of(simulation: &Simulation, before: Option<&Self>) -> Self {
         let (world, organ) = (simulation.world(), simulation.world().organ());
         let made_from = MadeFrom {
             bodies: Arc::clone(simulation.bodies()),

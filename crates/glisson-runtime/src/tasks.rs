@@ -9,6 +9,7 @@ pub const TASKS: &[(&str, &str)] = &[
     ("line_cut", include_str!("../../../tasks/line_cut.toml")),
     ("pattern_cut", include_str!("../../../tasks/pattern_cut.toml")),
     ("clip_and_cut", include_str!("../../../tasks/clip_and_cut.toml")),
+    ("ligating_loop", include_str!("../../../tasks/ligating_loop.toml")),
     ("cut_off", include_str!("../../../tasks/cut_off.toml")),
     ("metastasectomy", include_str!("../../../tasks/metastasectomy.toml")),
     ("cholecystectomy", include_str!("../../../tasks/cholecystectomy.toml")),

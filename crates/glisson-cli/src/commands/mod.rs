@@ -31,6 +31,7 @@ mod results_text;
 mod results;
 mod task_keeping;
 mod task;
+mod cohort;
 mod start;
 mod bench;
 mod validate;
@@ -63,6 +64,7 @@ enum Command {
     Task(task::Args),
     Start(start::Args),
     Results(results::Args),
+    Cohort(cohort::Args),
     Watch(watch::Args),
     Devices(devices::Args),
     Replay(replay::Args),
@@ -92,6 +94,7 @@ pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
         Command::Task(args) => task::run(args),
         Command::Start(args) => start::run(args),
         Command::Results(args) => results::run(args),
+        Command::Cohort(args) => cohort::run(args),
         Command::Watch(args) => watch::run(args),
         Command::Devices(args) => devices::run(args),
         Command::Replay(args) => replay::run(args),

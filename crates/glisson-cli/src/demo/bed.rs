@@ -5,9 +5,7 @@ use glisson::math::Aabb;
 use glisson::world::World;
 use glisson_lab::bed::write_liver_on_bed;
 use glisson_runtime::{OpenScene, Simulation};
-use glisson_view::picture::{
-    Camera, Caption, CaptionPlace, Picture, PictureScene, View, looks_of, surfaces_of,
-};
+use glisson_view::picture::{Camera, Caption, CaptionPlace, Picture, PictureScene, View, looks_of, shown_of};
 use std::path::{Path, PathBuf};
 
 const PICTURE_SIZE: [usize; 2] = [1280, 800];
@@ -57,7 +55,7 @@ fn picture(file: &Path, world: &World) -> anyhow::Result<()> {
     let view = View { azimuth_rad: 0.6, elevation_rad: 0.35 };
     let scene = PictureScene {
         camera: Camera::framing_points(&snapshot.positions_m, PICTURE_SIZE, view),
-        surfaces: surfaces_of(&topology, &snapshot, &looks_of(world.spec(), "")),
+        surfaces: shown_of(&topology, &snapshot, &looks_of(world.spec(), "")).0,
         instruments: Vec::new(),
         arrows: Vec::new(),
         captions: vec![Caption { text, place: CaptionPlace::BottomLeft }],

@@ -484,6 +484,11 @@ fn good_file() -> &'static [u8] {
     })
 }
 
+/// Whether bytes say who the patient is.
+fn tells(bytes: &[u8]) -> bool {
+    bytes.windows(8).any(|window| window == &SECRET.as_bytes()[..8])
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 500, ..ProptestConfig::default() })]
 
@@ -501,9 +506,52 @@ proptest! {
         match anonymize(&path, &SeriesChoice::Only, &out, [7; 32]) {
             Ok(_) => {
                 let bytes = std::fs::read(out.join("slice_0001.dcm")).unwrap();
-                prop_assert!(!bytes.windows(8).any(|window| window == &SECRET.as_bytes()[..8]));
+                prop_assert!(!tells(&bytes));
             }
             Err(_) => prop_assert!(std::fs::read_dir(folder.path()).unwrap().count() == 1),
         }
     }
+}
+
+#[test]
+fn no_damaged_length_brings_text_into_a_copy() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, out) = (folder.path().join("damaged.dcm"), folder.path().join("out"));
+    let good = good_file();
+    let mut n_copied = 0;
+    // Every byte, as those of lengths, with the even lengths that reach over some elements.
+    for at in 132..good.len() {
+        for length in [18, 36, 70, 110, 170, 250] {
+            let mut bytes = good.to_vec();
+            bytes[at] = length;
+            std::fs::write(&path, &bytes).unwrap();
+            if anonymize(&path, &SeriesChoice::Only, &out, [7; 32]).is_ok() {
+                let copied = std::fs::read(out.join("slice_0001.dcm")).unwrap();
+                assert!(!tells(&copied), "byte {at} made {length}");
+                std::fs::remove_dir_all(&out).unwrap();
+                n_copied += 1;
+            }
+        }
+    }
+    assert!(n_copied > 1000, "{n_copied}");
+}
+
+#[test]
+fn several_segments_that_an_image_is_of_are_kept_and_letters_are_not() {
+    let with = |numbers: Vec<u16>| {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, out) = (folder.path().join("a.dcm"), folder.path().join("out"));
+        let mut object = slice(0, "4");
+        let segments = element(tags::REFERENCED_SEGMENT_NUMBER, VR::US, PrimitiveValue::U16(numbers.into()));
+        object.put(sequence(tags::SOURCE_IMAGE_SEQUENCE, vec![segments]));
+        save(object, uids::EXPLICIT_VR_LITTLE_ENDIAN, &path);
+        anonymize(&path, &SeriesChoice::Only, &out, [7; 32])?;
+        let copied = open_file(out.join("slice_0001.dcm")).unwrap();
+        let items = copied.element(tags::SOURCE_IMAGE_SEQUENCE).unwrap();
+        let item = items.items().unwrap()[0].element(tags::REFERENCED_SEGMENT_NUMBER).unwrap();
+        Ok::<_, glisson_mesh::image::files::ImageError>(item.to_multi_int::<u16>().unwrap())
+    };
+    assert_eq!(with(vec![1, 2, 300]).unwrap(), [1, 2, 300]);
+    let refused = with(vec![u16::from_le_bytes(*b"Zz"), u16::from_le_bytes(*b"yz")]).unwrap_err().to_string();
+    assert!(refused.contains("ReferencedSegmentNumber") && refused.contains("no number"), "{refused}");
 }

@@ -30,8 +30,11 @@ from glisson._glisson import (
     World,
     Worlds,
     __version__,
+    replay_session,
+    run_program,
     task_names,
 )
+from glisson._plain import plain
 
 __all__ = [
     "MAX_TOOLS",
@@ -43,18 +46,12 @@ __all__ = [
     "World",
     "Worlds",
     "__version__",
+    "replay_session",
+    "run_program",
     "scene_from_dict",
     "task_names",
+    "vary",
 ]
-
-
-def _plain(value: Any) -> Any:
-    """What JSON does not know: numbers and arrays of numpy, paths."""
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
-    raise TypeError(f"a scene cannot hold a {type(value).__name__}: {value!r}")
 
 
 def scene_from_dict(scene: Mapping[str, Any], folder: str | os.PathLike[str] = ".") -> Scene:
@@ -63,4 +60,16 @@ def scene_from_dict(scene: Mapping[str, Any], folder: str | os.PathLike[str] = "
     Files that it names are relative to ``folder``. Raises SceneError where the scene cannot be read, TypeError where a value is nothing
     that a scene file can hold.
     """
-    return Scene._from_json(json.dumps(scene, default=_plain, allow_nan=False), folder)
+    return Scene._from_json(json.dumps(scene, default=plain, allow_nan=False), folder)
+
+
+def vary(scene: Scene, values: Mapping[str, Any] | None = None, *, patient: int | None = None) -> Scene:
+    """A scene with other values, or of another synthetic patient.
+
+    ``values``: keys are paths into the scene file, with dots between the names of tables and the numbers of what is in lists, counted from
+    0: ``{"organ.damping": "5 1/s", "tool.0.tip_radius": "4 mm"}``. The last name of a path may be one that the file has not yet.
+    ``patient``: the seed of the synthetic patient of the scene's organs, also one that the scene's task does not offer.
+
+    Raises SceneError where a path leads to nothing, or the scene that comes of it cannot be read.
+    """
+    return scene._varied(json.dumps(list((values or {}).items()), default=plain, allow_nan=False), patient)

@@ -116,14 +116,18 @@ impl Simulation {
                 Recorder::create(path, &source.folder, &header, &[])
             })
             .transpose()?;
-        let bodies = Arc::new(bodies);
-        Ok(Self {
+        Ok(Self { recorder, ..Self::of(world, Arc::new(bodies), task) })
+    }
+
+    /// One at whose beginning nothing was told, turned or ordered.
+    fn of(world: World, bodies: Arc<BodySet>, task: Option<TaskRun>) -> Self {
+        Self {
             hand_of_scene: world.spec().hand,
             world,
             bodies_of_scene: Arc::clone(&bodies),
             bodies,
             turned: None,
-            recorder,
+            recorder: None,
             lost_recording: None,
             is_resumed: false,
             builder: None,
@@ -138,7 +142,7 @@ impl Simulation {
             task,
             steady_gravity_m_per_s2: None,
             task_before: None,
-        })
+        }
     }
 
     /// The scene's task, if it has one.

@@ -73,12 +73,15 @@ impl Simulation {
     /// [`CannotSave`].
     pub fn restore(&mut self, saved: &SavedSimulation) -> Result<(), CannotSave> {
         self.may_go_back()?;
-        // What broke is left behind with its world.
+        // What broke is left behind with its world, and with the room that it worked in.
+        match self.broken {
+            Some(_) => self.world.restore(&saved.world),
+            None => self.world.go_back(&saved.world),
+        }
         self.broken = None;
         // Whoever makes a model for the moment that is left delivers it to nobody.
         self.builder = None;
         self.turned = None::<turning::Turned>;
-        self.world.restore(&saved.world);
         self.task.clone_from(&saved.task);
         self.bodies = Arc::clone(&saved.bodies);
         self.refused_last = saved.refused_last;
@@ -86,6 +89,20 @@ impl Simulation {
         self.n_torn = saved.n_torn;
         self.steady_gravity_m_per_s2 = saved.steady_gravity_m_per_s2;
         Ok(())
+    }
+
+    /// Another simulation of the same scene, which begins at a saved moment of this one or of another: made sooner than from the scene.
+    pub fn another_at(&self, saved: &SavedSimulation) -> Self {
+        Self {
+            hand_of_scene: self.hand_of_scene,
+            bodies_of_scene: Arc::clone(&self.bodies_of_scene),
+            is_live: self.is_live,
+            refused_last: saved.refused_last,
+            orders_recomputations: saved.orders_recomputations,
+            n_torn: saved.n_torn,
+            steady_gravity_m_per_s2: saved.steady_gravity_m_per_s2,
+            ..Self::of(saved.world.to_world(), Arc::clone(&saved.bodies), saved.task.clone())
+        }
     }
 
     fn may_go_back(&self) -> Result<(), CannotSave> {

@@ -597,6 +597,8 @@ fn a_saved_moment_comes_back_with_its_task_and_its_cuts() {
     let mut other = open();
     other.restore(&saved).unwrap();
     assert_eq!(go_on(&mut other), end);
+    // So does one that is made at it.
+    assert_eq!(go_on(&mut other.another_at(&saved)), end);
 }
 
 #[test]

@@ -70,6 +70,25 @@ pub struct NodalForce {
     pub force_n: DVec3,
 }
 
+/// A spring without length that holds a node near a place.
+///
+/// The pull of a thread turns with what it pulls on. Told as forces of a fixed direction it would throw tissue aside in a model that
+/// goes far in one step: springs at the places that are expected at the end of a step, which pull nothing there, keep it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NodalSpring {
+    /// Which node.
+    pub node: NodeId,
+    /// The place [m].
+    pub place_m: DVec3,
+    /// Stiffness [N/m].
+    pub stiffness_n_per_m: f64,
+}
+
+impl NodalSpring {
+    /// Springs that a model takes in a step at most.
+    pub const MOST: usize = 2048;
+}
+
 /// What the outside does to a model during one step. Both lists ascend by node, without repetition.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Constraints {
@@ -192,6 +211,10 @@ pub trait DeformableModel: Send {
 
     /// Brings positions up to date that steps leave out ([`OrganBody::inside_may_lag`]).
     fn bring_up_to_date(&mut self) {}
+
+    /// Holds a node near a place in the steps until [`DeformableModel::apply`] is called again, which is called before. A model whose
+    /// steps are short, or whose answer does not depend on its shape, needs none and leaves it aside; so may one that has no room.
+    fn steady(&mut self, _spring: NodalSpring) {}
 
     /// Gravity from the next step on [m/s2]. A model whose rest shape is the loaded one answers to the difference
     /// from the gravity it was made with.

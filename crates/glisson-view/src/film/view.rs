@@ -1,7 +1,7 @@
 //! The picture of a simulation as a film shows it.
 
 use crate::picture::{
-    Camera, Caption, CaptionPlace, Instrument, Look, Picture, PictureScene, View, looks_of, surfaces_of,
+    Camera, Caption, CaptionPlace, Instrument, Look, Picture, PictureScene, Shown, View, looks_of, shown_of,
 };
 use anyhow::Context;
 use glisson::math::{Aabb, DVec3};
@@ -37,6 +37,26 @@ pub struct FilmCamera {
     topology: DisplayTopology,
     /// Whether time, forces and blood are written into the picture.
     has_words: bool,
+}
+
+/// What a picture shows, pixel by pixel, row by row from the top.
+#[derive(Clone, Debug)]
+pub struct Layers {
+    /// How deep it is along the view [m]; 0 where nothing is seen.
+    pub depths_m: Vec<f32>,
+    /// What it is: 0 for nothing, or one of the numbers here.
+    pub kinds: Vec<u8>,
+}
+
+impl Layers {
+    /// An instrument.
+    pub const INSTRUMENT: u8 = 1;
+    /// A thread, a clip, a strand between bodies, a drop of blood.
+    pub const THING: u8 = 2;
+    /// A face of a cut.
+    pub const CUT_FACE: u8 = 3;
+    /// The skin of the first body; the next ones follow.
+    pub const FIRST_BODY: u8 = 4;
 }
 
 fn is_endoscope(tool: &Tool) -> bool {
@@ -86,14 +106,39 @@ impl FilmCamera {
     /// # Errors
     /// When a place is no number.
     pub fn picture(&mut self, world: &World) -> anyhow::Result<Picture> {
+        Picture::render(&self.scene(world).0)
+    }
+
+    /// Depth and kind of what is seen at the middle of each pixel.
+    ///
+    /// # Errors
+    /// When a place is no number.
+    pub fn layers(&mut self, world: &World) -> anyhow::Result<Layers> {
+        let (scene, shown) = self.scene(world);
+        let seen = scene.depths_and_surfaces()?;
+        let kind = |surface: Option<usize>| match surface.map(|number| shown[number]) {
+            None => Layers::INSTRUMENT,
+            Some(Shown::Thing) => Layers::THING,
+            Some(Shown::CutFace(_)) => Layers::CUT_FACE,
+            Some(Shown::Body(body)) => Layers::FIRST_BODY.saturating_add(body),
+        };
+        Ok(Layers {
+            depths_m: seen.iter().map(|pixel| pixel.map_or(0.0, |seen| seen.depth_m)).collect(),
+            kinds: seen.iter().map(|pixel| pixel.map_or(0, |seen| kind(seen.surface))).collect(),
+        })
+    }
+
+    /// What is drawn of the simulation as it is now, and what each surface is of.
+    fn scene(&mut self, world: &World) -> (PictureScene, Vec<Shown>) {
         let snapshot = world.snapshot();
         if snapshot.topology_version != self.topology.version {
             self.topology = world.display_topology();
         }
         let tools = world.tools();
         let is_shown = |&number: &usize| Some(number) != self.endoscope;
+        let (surfaces, shown) = shown_of(&self.topology, &snapshot, &self.looks);
         let scene = PictureScene {
-            surfaces: surfaces_of(&self.topology, &snapshot, &self.looks),
+            surfaces,
             instruments: (0..tools.len())
                 .filter(is_shown)
                 .map(|number| Instrument::of(&tools[number], &snapshot.tools[number]))
@@ -107,7 +152,7 @@ impl FilmCamera {
             camera: self.camera(tools, &snapshot),
             size: self.size,
         };
-        Picture::render(&scene)
+        (scene, shown)
     }
 
     fn camera(&self, tools: &[Tool], snapshot: &Snapshot) -> Camera {

@@ -30,7 +30,7 @@ pub use camera::{Camera, View};
 pub use geometry::{Arrow, ShadedSurface, bounds_of};
 pub use instrument::{Instrument, JawShape, WorkingEnd};
 pub use look::Look;
-pub use of_world::{looks_of, surfaces_of};
+pub use of_world::{Shown, looks_of, shown_of};
 pub use slice::{SlicePlane, SliceSpec, slice_picture};
 pub use text::{Caption, CaptionPlace};
 
@@ -60,6 +60,40 @@ pub struct PictureScene {
     pub size: [usize; 2],
 }
 
+/// What is seen at a pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Seen {
+    /// How deep it is along the view [m].
+    pub depth_m: f32,
+    /// Number of its surface; none for instruments and arrows.
+    pub surface: Option<usize>,
+}
+
+impl PictureScene {
+    fn checked_size(&self) -> anyhow::Result<[usize; 2]> {
+        let [width, height] = self.size;
+        ensure!(
+            (1..=MAX_EDGE_PIXELS).contains(&width) && (1..=MAX_EDGE_PIXELS).contains(&height),
+            "picture of {width} x {height} pixels: each edge must be 1 to {MAX_EDGE_PIXELS}"
+        );
+        Ok(self.size)
+    }
+
+    /// What is seen at the middle of each pixel, row by row from the top; none where nothing is.
+    ///
+    /// # Errors
+    /// As [`Picture::render`].
+    pub fn depths_and_surfaces(&self) -> anyhow::Result<Vec<Option<Seen>>> {
+        let size = self.checked_size()?;
+        let facets = geometry::Facets::of_scene(self)?;
+        let seen = raster::depths_and_parts(&facets, &self.camera, size);
+        // A part for each surface comes first.
+        let surface = |part: u32| Some(part as usize).filter(|part| *part < self.surfaces.len());
+        let pixel = |(depth_m, part)| Seen { depth_m, surface: surface(part) };
+        Ok(seen.into_iter().map(|seen| seen.map(pixel)).collect())
+    }
+}
+
 /// Pixels: 8-bit sRGB, rows from the top.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
@@ -81,11 +115,7 @@ impl Picture {
     /// When the size is zero or absurd, a triangle names a vertex that is not there, rest and current
     /// positions differ in number, or a position is not finite.
     pub fn render(scene: &PictureScene) -> anyhow::Result<Self> {
-        let [width, height] = scene.size;
-        ensure!(
-            (1..=MAX_EDGE_PIXELS).contains(&width) && (1..=MAX_EDGE_PIXELS).contains(&height),
-            "picture of {width} x {height} pixels: each edge must be 1 to {MAX_EDGE_PIXELS}"
-        );
+        let [width, height] = scene.checked_size()?;
         let facets = geometry::Facets::of_scene(scene)?;
         let samples = raster::Samples::of_view(&facets, &scene.camera, scene.size);
         let shading = shade::Shading::new(&facets, &scene.camera, &samples);

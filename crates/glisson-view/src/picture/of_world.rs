@@ -14,6 +14,8 @@ const DROP_S: f64 = 0.3;
 const DROPS_M: [f64; 2] = [0.8e-3, 4e-3];
 /// A needle is so much thicker than its thread, as on the page.
 const NEEDLE: f64 = 1.6;
+/// What is thinner is not seen [m], as on the page.
+const LEAST_RADIUS_M: f64 = 0.35e-3;
 /// Loose tissue between bodies, and the radius of its strands [m], as on the page.
 const LOOSE_TISSUE: Look = Look::Plain { colour: [230, 201, 160] };
 const STRAND_RADIUS_M: f64 = 0.8e-3;
@@ -34,22 +36,40 @@ pub fn looks_of(spec: &WorldSpec, material: &str) -> Vec<Look> {
         .collect()
 }
 
-/// Bodies with their cuts, strands between them, clips, threads and drops of blood; `looks` of the bodies.
-pub fn surfaces_of(topology: &DisplayTopology, snapshot: &Snapshot, looks: &[Look]) -> Vec<ShadedSurface> {
+/// What a surface of a picture is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shown {
+    /// The skin of a body.
+    Body(u8),
+    /// Faces of its cuts.
+    CutFace(u8),
+    /// Threads, clips, strands between bodies, drops of blood.
+    Thing,
+}
+
+/// Bodies with their cuts, strands between them, clips, threads and drops of blood, and what each surface is of; `looks` of the bodies.
+pub fn shown_of(
+    topology: &DisplayTopology,
+    snapshot: &Snapshot,
+    looks: &[Look],
+) -> (Vec<ShadedSurface>, Vec<Shown>) {
     let mut parts: BTreeMap<(u8, bool), Vec<[u32; 3]>> = BTreeMap::new();
     for (triangle, &is_cut) in topology.triangles.iter().zip(&topology.is_cut) {
         parts.entry((topology.body_of[triangle[0] as usize], is_cut)).or_default().push(*triangle);
     }
+    let is_of = |&(body, is_cut): &(u8, bool)| if is_cut { Shown::CutFace(body) } else { Shown::Body(body) };
+    let mut shown: Vec<Shown> = parts.keys().map(is_of).collect();
     let part = |((body, is_cut), triangles): ((u8, bool), Vec<[u32; 3]>)| {
         let own = looks.get(usize::from(body)).copied().unwrap_or(Look::Liver);
         part_of(topology, snapshot, &triangles, if is_cut { Look::Cut } else { own })
     };
     let mut surfaces: Vec<ShadedSurface> = parts.into_iter().map(part).collect();
     for thread in &snapshot.threads {
+        let radius_m = thread.radius_m.max(LEAST_RADIUS_M);
         let needle = (thread.n_needle_nodes as usize).min(thread.nodes_m.len());
-        surfaces.push(ShadedSurface::wire(&thread.nodes_m[..needle], NEEDLE * thread.radius_m, Look::Metal));
+        surfaces.push(ShadedSurface::wire(&thread.nodes_m[..needle], NEEDLE * radius_m, Look::Metal));
         let rest = &thread.nodes_m[needle.saturating_sub(1)..];
-        surfaces.push(ShadedSurface::wire(rest, thread.radius_m, THREAD));
+        surfaces.push(ShadedSurface::wire(rest, radius_m, THREAD));
         let clips =
             thread.clips_m.iter().map(|&p| ShadedSurface::ball(p, 3.0 * thread.radius_m, Look::Metal));
         surfaces.extend(clips);
@@ -63,7 +83,8 @@ pub fn surfaces_of(topology: &DisplayTopology, snapshot: &Snapshot, looks: &[Loo
         ShadedSurface::ball(end.position_m, radius_m, Look::Blood)
     };
     surfaces.extend(snapshot.bleeding.ends.iter().filter(|end| end.rate_m3_per_s > 0.0).map(drop));
-    surfaces
+    shown.resize(surfaces.len(), Shown::Thing);
+    (surfaces, shown)
 }
 
 /// The triangles of one look with the vertices that they have.

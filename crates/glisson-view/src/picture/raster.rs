@@ -205,7 +205,7 @@ pub(super) struct Samples {
 impl Samples {
     /// What `camera` sees of `facets` in a picture of `size` pixels.
     pub(super) fn of_view(facets: &Facets, camera: &Camera, size: [usize; 2]) -> Self {
-        let triangles = screen_triangles(facets, Projection::new(camera, size));
+        let triangles = screen_triangles(facets, Projection::new(camera, size), SAMPLES);
         let bands = draw_bands(&triangles, size.map(|edge| edge * SAMPLES), |band| resolve(&band, facets));
         let mut samples = Self { size, starts: vec![0], fragments: Vec::new() };
         for (counts, fragments) in bands {
@@ -222,6 +222,22 @@ impl Samples {
     pub(super) fn of_pixel(&self, index: usize) -> &[Fragment] {
         &self.fragments[self.starts[index] as usize..self.starts[index + 1] as usize]
     }
+}
+
+/// Depth along the view [m] and part of `facets` at the middle of each pixel, row by row; none where nothing is seen.
+pub(super) fn depths_and_parts(
+    facets: &Facets,
+    camera: &Camera,
+    size: [usize; 2],
+) -> Vec<Option<(f32, u32)>> {
+    let triangles = screen_triangles(facets, Projection::new(camera, size), 1);
+    let of_band = |band: Band| {
+        let seen = |(triangle, nearness): (&u32, &f32)| {
+            (*triangle != NONE).then(|| (1.0 / nearness, facets.part_of[*triangle as usize]))
+        };
+        band.triangle.iter().zip(&band.nearness).map(seen).collect::<Vec<_>>()
+    };
+    draw_bands(&triangles, size, of_band).concat()
 }
 
 /// Groups the samples of each pixel of a band by surface: counts per pixel, then the fragments.
@@ -276,8 +292,8 @@ fn resolve(band: &Band, facets: &Facets) -> (Vec<u8>, Vec<Fragment>) {
     (counts, fragments)
 }
 
-/// Triangles as the camera sees them, cut at the near plane.
-fn screen_triangles(facets: &Facets, projection: Projection) -> Vec<ScreenTriangle> {
+/// Triangles as the camera sees them with so many samples along a pixel's edge, cut at the near plane.
+fn screen_triangles(facets: &Facets, projection: Projection, n_samples: usize) -> Vec<ScreenTriangle> {
     let in_camera: Vec<Vec3> = facets.positions.iter().map(|&p| projection.to_camera(p)).collect();
     // 1 / depth is below 1 / near; this much more puts overlays in front of everything else.
     let overlay_lift = 2.0 / projection.near_m;
@@ -289,7 +305,7 @@ fn screen_triangles(facets: &Facets, projection: Projection) -> Vec<ScreenTriang
         for c in 2..n {
             let piece = [polygon[0], polygon[c - 1], polygon[c]];
             triangles.push(ScreenTriangle {
-                corners: piece.map(|p| projection.to_pixels(p).map(|c| c * SAMPLES as f32)),
+                corners: piece.map(|p| projection.to_pixels(p).map(|c| c * n_samples as f32)),
                 nearness: piece.map(|p| 1.0 / p.z + lift),
                 index: u32::try_from(index).expect("a picture has fewer than 2^32 triangles"),
             });

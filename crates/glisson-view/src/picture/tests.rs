@@ -333,3 +333,46 @@ fn jaws_open_to_both_sides_of_the_tip_and_close_on_it() {
     assert!(is_metal(&closed, 0.0004, 0.002) && !is_metal(&open, 0.0004, 0.002));
     assert!(is_metal(&closed, 0.0, 0.05) && is_metal(&open, 0.0, 0.05));
 }
+
+#[test]
+fn depth_and_surface_of_each_pixel_are_those_of_what_is_seen() {
+    let (positions_m, triangles) = unit_sphere(3);
+    let surface = |x_m: f64| ShadedSurface {
+        positions_m: positions_m.iter().map(|p| *p + DVec3::X * x_m).collect(),
+        rest_positions_m: positions_m.clone(),
+        triangles: triangles.clone(),
+        look: Look::Liver,
+    };
+    let camera = Camera {
+        eye_m: DVec3::new(0.0, 0.0, 10.0),
+        target_m: DVec3::ZERO,
+        up: DVec3::Y,
+        ..Camera::framing(
+            Aabb::of_points(&positions_m),
+            [65, 65],
+            View { azimuth_rad: 0.0, elevation_rad: 0.0 },
+        )
+    };
+    let scene = PictureScene {
+        surfaces: vec![surface(0.0), surface(2.5)],
+        instruments: Vec::new(),
+        arrows: Vec::new(),
+        captions: Vec::new(),
+        camera: Camera { vertical_field_of_view_rad: 0.7, ..camera },
+        size: [65, 65],
+    };
+    let seen = scene.depths_and_surfaces().unwrap();
+    let at = |x: usize, y: usize| seen[y * 65 + x];
+    let middle = at(32, 32).unwrap();
+    assert_eq!(middle.surface, Some(0));
+    assert!((middle.depth_m - 9.0).abs() < 0.02, "{middle:?}");
+    // Rays that pass the first ball meet nothing, or the second.
+    assert_eq!(at(0, 0), None);
+    // 2.5 to the right and 10 away: 32.5 / tan(0.35) * 0.25 pixels from the middle.
+    let right = at(32 + 22, 32).unwrap();
+    assert_eq!(right.surface, Some(1));
+    assert!(right.depth_m > 9.0 && right.depth_m < 10.0, "{right:?}");
+    // The same pixels show something as in the picture.
+    let picture = Picture::render(&scene).unwrap();
+    assert_ne!(picture.pixel(32, 32), picture.pixel(0, 0));
+}

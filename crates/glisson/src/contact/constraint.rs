@@ -190,10 +190,10 @@ impl Response {
         }
     }
 
-    /// Makes room for groups of so many vertices: later calls allocate nothing.
+    /// Makes room for so many vertices in each group: later calls allocate nothing.
     #[must_use]
-    pub fn with_room_for_groups_of(mut self, n: usize) -> Self {
-        for group in &mut self.groups {
+    pub fn with_room_for_groups_of(mut self, n_vertices: impl IntoIterator<Item = usize>) -> Self {
+        for (group, n) in self.groups.iter_mut().zip(n_vertices) {
             group.vertices.reserve(n);
             group.compliance_m_per_n.reserve(n * n);
         }

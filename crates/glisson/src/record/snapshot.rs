@@ -84,6 +84,15 @@ pub struct ThreadSnapshot {
     pub clips_m: Vec<DVec3>,
 }
 
+impl ThreadSnapshot {
+    /// Begins anew with a thread of this radius, without places.
+    pub fn begin(&mut self, radius_m: f64) {
+        (self.radius_m, self.n_needle_nodes) = (radius_m, 0);
+        self.nodes_m.clear();
+        self.clips_m.clear();
+    }
+}
+
 /// The displayed state of a world after a step. Buffers are reused: filling one allocates only the first time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Snapshot {

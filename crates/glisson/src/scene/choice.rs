@@ -22,7 +22,7 @@ pub fn choose(text: &str, choice: &Choice) -> Result<String, SceneError> {
     let scene = Scene::parse(text)?;
     let document = parse_toml(text)?;
     let root = Section::root(text, &document);
-    let mut edits: Vec<(Range<usize>, String)> = Vec::new();
+    let mut edits: Vec<Edit> = Vec::new();
     let task = scene.task.as_ref();
     if let Some(patient) = choice.patient {
         let patients = task.map_or(&[][..], |task| &task.patients[..]);
@@ -30,12 +30,7 @@ pub fn choose(text: &str, choice: &Choice) -> Result<String, SceneError> {
             let names: Vec<String> = patients.iter().map(u32::to_string).collect();
             return Err(no_such(&root, "patients", &patient.to_string(), &names));
         }
-        // Of several bodies all that are of the same patient.
-        let seeds = ["organ", "rigid"].map(|body| root.values_at(&[body, "phantom", "seed"])).concat();
-        let digits = |seed: &Value<'_>| seed.get_ref().as_integer().map(|seed| seed.as_str().to_owned());
-        let usual = seeds.first().and_then(digits);
-        let of_usual = seeds.iter().filter(|seed| digits(seed) == usual);
-        edits.extend(of_usual.map(|seed| (seed.span(), patient.to_string())));
+        edits.extend(edits_of_patient(&root, patient));
     }
     if let Some(level) = &choice.level {
         let levels = task.map_or(&[][..], |task| &task.levels[..]);
@@ -45,11 +40,46 @@ pub fn choose(text: &str, choice: &Choice) -> Result<String, SceneError> {
             None => return Err(no_such(&root, "level", &format!("\"{level}\""), levels)),
         }
     }
+    Ok(edited(text, edits))
+}
+
+/// The text of a scene with another synthetic patient, also one that its task does not name.
+///
+/// # Errors
+/// [`SceneError`] where the scene cannot be read, or does not say of each of its synthetic bodies which patient it is of.
+pub fn with_patient(text: &str, patient: u32) -> Result<String, SceneError> {
+    let document = parse_toml(text)?;
+    let root = Section::root(text, &document);
+    let all_of =
+        |path: &[&str]| ["organ", "rigid"].map(|body| root.values_at(&[&[body], path].concat()).len());
+    let [n_phantoms, n_seeds]: [usize; 2] =
+        [&["phantom"][..], &["phantom", "seed"]].map(|path| all_of(path).iter().sum());
+    if n_phantoms == 0 || n_seeds < n_phantoms {
+        let found = format!("in a scene with {n_phantoms} synthetic organs, {n_seeds} of which have a seed");
+        let allowed = "a scene with phantom = { seed = ... } in every synthetic organ".to_owned();
+        return Err(root.wrong_table("patient", found, allowed));
+    }
+    Ok(edited(text, edits_of_patient(&root, patient)))
+}
+
+/// A place in a text, and what it is replaced by.
+type Edit = (Range<usize>, String);
+
+/// Of several bodies all that are of the same patient as the first one.
+fn edits_of_patient(root: &Section<'_>, patient: u32) -> Vec<Edit> {
+    let seeds = ["organ", "rigid"].map(|body| root.values_at(&[body, "phantom", "seed"])).concat();
+    let digits = |seed: &Value<'_>| seed.get_ref().as_integer().map(|seed| seed.as_str().to_owned());
+    let usual = seeds.first().and_then(digits);
+    let of_usual = seeds.iter().filter(|seed| digits(seed) == usual);
+    of_usual.map(|seed| (seed.span(), patient.to_string())).collect()
+}
+
+fn edited(text: &str, mut edits: Vec<Edit>) -> String {
     // From the end on, so that places before stay where they are.
     edits.sort_by_key(|(span, _)| std::cmp::Reverse(span.start));
-    let mut text = text.to_string();
+    let mut text = text.to_owned();
     edits.into_iter().for_each(|(span, new)| text.replace_range(span, &new));
-    Ok(text)
+    text
 }
 
 /// A text as TOML has it in quotes.
@@ -103,6 +133,22 @@ mod tests {
         assert!((a_m - DVec3::new(-0.0856, -0.048, -0.032)).abs().max_element() < 2e-3, "{a_m}");
         assert_eq!(other.world.tools[0].home.tip_in_world_m, b_m - DVec3::Y * 0.05);
         assert!(other.text.contains("seed = 4, tetrahedra = 900 } # one of five"));
+    }
+
+    #[test]
+    fn studies_take_any_patient() {
+        let scene = Scene::parse(&with_patient(SCENE, 77).unwrap()).unwrap();
+        assert_eq!(scene.patient(), Some(77));
+        for (organs, expected) in [
+            ("[organ]\nbox = 1\n", "0 synthetic organs"),
+            (
+                "[[organ]]\nphantom = { seed = 1 }\n[[organ]]\nphantom = {}\n",
+                "2 synthetic organs, 1 of which",
+            ),
+        ] {
+            let error = with_patient(&format!("glisson_scene = 1\n{organs}"), 77).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
     }
 
     #[test]

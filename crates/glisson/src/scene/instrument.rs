@@ -3,8 +3,11 @@
 use super::bodies::{BodySource, SceneBody};
 use super::organ::OrganSource;
 use super::reader::{SceneError, Section};
+use super::suture::read_size;
 use super::when_cut::RefusedCuts;
 use crate::math::DVec3;
+use crate::suture::material::SIZES;
+use crate::tool::ligating_loop::LigatingLoop;
 use crate::tool::{
     Blade, BladeCuts, Burnt, CutRule, Grip, INSTRUMENTS, JawUse, Jaws, MAX_TOOLS, Optics, Snip, Tool,
     ToolInput, ToolKind, ToolParts, ToolShape, instrument_names,
@@ -47,6 +50,10 @@ const DEFAULT_CUT: CutRule =
     CutRule { least_force_n: 0.05, least_time_s: 0.05, power_w: 0.0, takes: Burnt::Tetrahedra };
 /// How much larger than the tip what it sweeps away is: a choice.
 const DEFAULT_BURN_DEPTH_M: f64 = 5e-4;
+
+/// The loop of a ligating loop whose table does not say: choices, and the thread of size 2-0.
+const DEFAULT_LOOP: LigatingLoop =
+    LigatingLoop { diameter_m: 0.03, thread_m: SIZES[0].diameter_m, greatest_pull_n: 2.0 };
 
 /// The lens of an endoscope whose table does not say: choices, and between what they may be [rad].
 const DEFAULT_OPTICS: Optics =
@@ -210,8 +217,8 @@ pub(super) fn read_tool(mut section: Section<'_>, cuts: &CutRules) -> Result<Ins
         .direction("home_shaft")?
         .or(to_trocar)
         .ok_or_else(|| section.missing("home_shaft", "home_shaft = [0, -1, 0.3]"))?;
-    // A lever that rinses is let go.
-    let jaw_opening = if kind.rinses() { 1.0 } else { 0.0 };
+    // A lever that rinses is let go, a loop is open.
+    let jaw_opening = if kind.rinses() || kind.ligating_loop().is_some() { 1.0 } else { 0.0 };
     let at_rest = ToolInput { jaw_opening, ..ToolInput::at(tip_in_world_m, shaft_in_world) };
     let home = read_hand(&mut section, ["home_roll", "home_jaw"], at_rest)?;
     let home = home.through(trocar_m);
@@ -252,7 +259,18 @@ fn read_kind(
     let burning = if kind.burns { read_cut(section, cuts)? } else { DEFAULT_CUT };
     let snip = if kind.jaws == Some(JawUse::Part) { read_snip(section, cuts)? } else { DEFAULT_SNIP };
     let optics = if kind.has_optics { read_optics(section)? } else { DEFAULT_OPTICS };
-    Ok((ToolKind::of(kind, &ToolParts { jaws, blade, burning, snip, optics }), kind.sticks))
+    let ligating_loop = if kind.has_loop { read_loop(section)? } else { DEFAULT_LOOP };
+    let parts = ToolParts { jaws, blade, burning, snip, optics, ligating_loop };
+    Ok((ToolKind::of(kind, &parts), kind.sticks))
+}
+
+fn read_loop(section: &mut Section<'_>) -> Result<LigatingLoop, SceneError> {
+    let d = DEFAULT_LOOP;
+    Ok(LigatingLoop {
+        diameter_m: section.positive("loop_diameter", Dimension::Length)?.unwrap_or(d.diameter_m),
+        thread_m: read_size(section)?.map_or(d.thread_m, |size| size.diameter_m),
+        greatest_pull_n: section.positive("pull", Dimension::Force)?.unwrap_or(d.greatest_pull_n),
+    })
 }
 
 fn read_blade(section: &mut Section<'_>, rules: &CutRules, tip_radius_m: f64) -> Result<Blade, SceneError> {

@@ -36,7 +36,7 @@ pub use bodies::{BodySource, SceneBody};
 pub use build::{joint_mesh_hash, mesh_hash, read_organ, read_tools};
 pub use build_error::BuildError;
 pub use build_world::build_world;
-pub use choice::{Choice, choose};
+pub use choice::{Choice, choose, with_patient};
 pub use instrument::{PathPoint, tool_on_path};
 pub use material::{ElasticitySource, MaterialSource, PartPlace, TissuePartSource};
 pub use organ::{OrganSource, OrganSurroundings, OrganZone};

@@ -2,7 +2,7 @@
 
 use super::reader::{SceneError, Section};
 use crate::math::DVec3;
-use crate::suture::material::{FRICTION, SIZES, needle, puncture_force_n, thread};
+use crate::suture::material::{FRICTION, SIZES, ThreadSize, needle, puncture_force_n, thread};
 use crate::units::Dimension;
 use crate::world::spec::{MOST_SUTURES, Needle, SutureSpec};
 
@@ -18,13 +18,19 @@ pub(super) fn read_sutures(sections: Vec<Section<'_>>) -> Result<Vec<SutureSpec>
     sections.into_iter().map(read_suture).collect()
 }
 
-fn read_suture(mut section: Section<'_>) -> Result<SutureSpec, SceneError> {
-    let name = section.string("name")?.map_or_else(|| "suture".to_string(), |name| name.0);
-    let (size, at) = section.string("size")?.ok_or_else(|| section.missing("size", "size = \"3-0\""))?;
+/// The size of a thread, if its table says it.
+pub(super) fn read_size(section: &mut Section<'_>) -> Result<Option<&'static ThreadSize>, SceneError> {
+    let Some((size, at)) = section.string("size")? else { return Ok(None) };
     let known = SIZES.iter().find(|known| known.name == size).ok_or_else(|| {
         let names: Vec<&str> = SIZES.iter().map(|size| size.name).collect();
         section.wrong_value(at, "size", format!("\"{size}\""), &names.join(", "))
     })?;
+    Ok(Some(known))
+}
+
+fn read_suture(mut section: Section<'_>) -> Result<SutureSpec, SceneError> {
+    let name = section.string("name")?.map_or_else(|| "suture".to_string(), |name| name.0);
+    let known = read_size(&mut section)?.ok_or_else(|| section.missing("size", "size = \"3-0\""))?;
     let points = section.lengths("path", (3..=3, PATH))?.ok_or_else(|| section.missing("path", PATH))?;
     let path_m: Vec<DVec3> = points.iter().map(|point| DVec3::from_slice(point)).collect();
     let length_m: f64 = path_m.windows(2).map(|pair| pair[0].distance(pair[1])).sum();

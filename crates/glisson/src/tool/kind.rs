@@ -1,5 +1,6 @@
 //! What an instrument is made for: the table of kinds, each of which says what parts it has.
 
+use super::ligating_loop::LigatingLoop;
 use super::{Blade, BladeCuts, CutRule, Jaws, Optics, Snip};
 
 /// A kind of instrument: a row of the table [`INSTRUMENTS`]. What it does follows from the parts that it has.
@@ -17,6 +18,8 @@ pub struct InstrumentKind {
     pub burns: bool,
     /// Whether it looks through a lens at its tip.
     pub has_optics: bool,
+    /// Whether it has a loop of thread before its tip, which jaws' lever draws tight and its trigger ties off.
+    pub has_loop: bool,
     /// Whether it sucks while its trigger is pressed, and rinses while its lever is, which is where jaws are in an input (0 pressed): a
     /// matter of pictures, without effect on tissue.
     pub rinses: bool,
@@ -43,6 +46,7 @@ const PLAIN: InstrumentKind = InstrumentKind {
     has_blade: false,
     burns: false,
     has_optics: false,
+    has_loop: false,
     rinses: false,
     sticks: false,
 };
@@ -93,9 +97,16 @@ const SUCTION: InstrumentKind = InstrumentKind {
     ..PLAIN
 };
 
+const LOOP: InstrumentKind = InstrumentKind {
+    name: "loop",
+    about: "draws a loop of thread tight around a stump, and ties it off",
+    has_loop: true,
+    ..PLAIN
+};
+
 /// Every kind, in the order of lists: one line a kind (docs/extending.md).
 pub const INSTRUMENTS: &[InstrumentKind] =
-    &[PROBE, GRASPER, SCISSORS, SCALPEL, HOOK, CAUTERY, CLIPPER, ENDOSCOPE, SUCTION];
+    &[PROBE, GRASPER, SCISSORS, SCALPEL, HOOK, CAUTERY, CLIPPER, ENDOSCOPE, SUCTION, LOOP];
 
 /// The names of all kinds, in the order of the table.
 pub fn instrument_names() -> impl Iterator<Item = &'static str> {
@@ -111,6 +122,7 @@ pub struct ToolKind {
     burning: Option<CutRule>,
     snip: Option<Snip>,
     optics: Option<Optics>,
+    ligating_loop: Option<LigatingLoop>,
 }
 
 /// Sizes of the parts that instruments may have.
@@ -126,12 +138,21 @@ pub struct ToolParts {
     pub snip: Snip,
     /// Of a lens.
     pub optics: Optics,
+    /// Of a loop of thread.
+    pub ligating_loop: LigatingLoop,
 }
 
 impl ToolKind {
     /// A probe: it pushes.
-    pub const PROBE: Self =
-        Self { kind: PROBE, jaws: None, blade: None, burning: None, snip: None, optics: None };
+    pub const PROBE: Self = Self {
+        kind: PROBE,
+        jaws: None,
+        blade: None,
+        burning: None,
+        snip: None,
+        optics: None,
+        ligating_loop: None,
+    };
 
     /// A tube that sucks and rinses.
     pub const SUCTION: Self = Self { kind: SUCTION, ..Self::PROBE };
@@ -145,6 +166,7 @@ impl ToolKind {
             burning: kind.burns.then_some(parts.burning),
             snip: (kind.jaws == Some(JawUse::Part)).then_some(parts.snip),
             optics: kind.has_optics.then_some(parts.optics),
+            ligating_loop: kind.has_loop.then_some(parts.ligating_loop),
         }
     }
 
@@ -201,6 +223,11 @@ impl ToolKind {
     /// Its lens, if it looks through one.
     pub fn optics(&self) -> Option<&Optics> {
         self.optics.as_ref()
+    }
+
+    /// Its loop of thread, if it has one.
+    pub fn ligating_loop(&self) -> Option<&LigatingLoop> {
+        self.ligating_loop.as_ref()
     }
 
     /// Whether its jaws hold what they close on.

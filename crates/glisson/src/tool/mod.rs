@@ -8,6 +8,7 @@ pub mod pose;
 pub mod endoscope;
 pub mod trocar;
 pub mod external_detection;
+pub mod ligating_loop;
 
 pub use kind::{INSTRUMENTS, InstrumentKind, JawUse, ToolKind, ToolParts, instrument_names};
 

@@ -32,9 +32,16 @@ pub(super) struct Clip {
     legs: DVec3,
     /// None where its tissue is gone.
     site: Option<Site>,
+    /// Whether it is a thread around the vessel, which is drawn elsewhere, and no clip.
+    pub(super) is_thread: bool,
 }
 
 impl Clip {
+    /// A thread that closes a tube from `along` on.
+    pub(super) fn thread(along: f64, tube: &Tube) -> Self {
+        Self { along, middle_m: along * length_m(tube), legs: DVec3::X, site: None, is_thread: true }
+    }
+
     /// A clip that closes a tube from `along` on, its legs along `legs` as the tissue is now; beside `others` on that tube.
     pub(super) fn set(
         along: f64,
@@ -49,7 +56,7 @@ impl Clip {
         while let Some(other) = others.iter().find(|o| (o.middle_m - middle_m).abs() < 0.99 * APART_M) {
             middle_m = other.middle_m - APART_M;
         }
-        let mut clip = Self { along, middle_m: middle_m.max(0.0), legs, site: None };
+        let mut clip = Self { along, middle_m: middle_m.max(0.0), legs, site: None, is_thread: false };
         clip.find_tissue(tube, body);
         if let Some(site) = &clip.site {
             clip.legs = site.way_at_rest(legs, body, positions_m);
@@ -78,7 +85,7 @@ impl Clip {
         body: &EditableMesh,
         positions_m: &[DVec3],
     ) -> Option<ClipSnapshot> {
-        let site = self.site?;
+        let site = self.site.filter(|_| !self.is_thread)?;
         let [from_m, to_m] = tube.ends_m;
         let along = site.way_now(to_m - from_m, body, positions_m).normalize_or(DVec3::X);
         let legs = site.way_now(self.legs, body, positions_m).reject_from_normalized(along);

@@ -52,6 +52,7 @@ impl World {
             if input.placed[place] {
                 self.press.forget_tool(place);
                 self.sutures.iter_mut().for_each(|suture| suture.let_go(place));
+                self.loops.let_go(place);
             }
             if let Some(jaws) = tool.kind.jaws() {
                 let pose = hand.now;
@@ -75,6 +76,7 @@ impl World {
                 tearing: self.spec.tearing.as_ref(),
                 is_placed: input.placed[place],
                 fixed_stops: self.spec.hand.is_some(),
+                is_in_loop: self.loops.is_drawn(place),
                 detected: input.detected_on(place, self.organ.topology_version()),
             };
             hand.find_contacts(tool, &search);
@@ -97,10 +99,12 @@ impl World {
                 self.impose_contacts(part);
             }
         }
+        self.hold_back_from_threads();
         self.sew();
+        self.draw_loops();
         self.sort_imposed();
         self.gather_forces(n_substeps);
-        self.model.apply(&self.constraints);
+        self.apply_constraints();
         let fields_m_per_s2 = self.loads.acceleration_in_step_m_per_s2(self.step);
         let pull_m_per_s2 = self.gravity_m_per_s2 + fields_m_per_s2;
         if pull_m_per_s2 != self.pull_m_per_s2 {
@@ -120,15 +124,23 @@ impl World {
             std::array::from_fn(|i| self.sutures.get(i).map_or(&[][..], Suture::forces));
         let [a, b, c, d] = of_threads;
         let loads = self.loads.forces_in_step(self.step);
-        merge_into([springs, loads, self.press.forces(), a, b, c, d], &mut self.constraints.forces);
+        merge_into(
+            [springs, loads, self.press.forces(), a, b, c, d, self.loops.forces()],
+            &mut self.constraints.forces,
+        );
     }
 
     /// The springs' forces for the next part of a step.
     pub(super) fn push_self_contacts(&mut self, n_substeps: u32) {
         if self.self_contact.as_deref().is_some_and(SurfaceContact::acts_by_forces) {
             self.gather_forces(n_substeps);
-            self.model.apply(&self.constraints);
+            self.apply_constraints();
         }
+    }
+
+    fn apply_constraints(&mut self) {
+        self.model.apply(&self.constraints);
+        self.loops.springs().for_each(|spring| self.model.steady(*spring));
     }
 
     /// What jaws hold, the first hand's first: a node that two hold follows the first.

@@ -96,6 +96,7 @@ impl World {
         let mut cuts = ToolCuts::default();
         for tool in 0..self.tool_states.len() {
             cuts.n_parted += self.part_attachments(tool);
+            self.tie_off(tool);
             let hand = &self.tool_states[tool];
             let kind = self.spec.tools[tool].kind;
             if let Some(rule) = kind.burning() {

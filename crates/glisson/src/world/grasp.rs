@@ -253,7 +253,7 @@ pub(super) fn squeeze_j(jaws: &Jaws, pose: &ToolInput, tissue_n_per_m: f64) -> [
 }
 
 /// Keeps a list of the nearest, ascending, each once.
-fn insert_nearest(list: &mut [(f64, NodeId)], new: (f64, NodeId)) {
+pub(super) fn insert_nearest(list: &mut [(f64, NodeId)], new: (f64, NodeId)) {
     if list.iter().any(|&(_, node)| node == new.1) {
         return;
     }

@@ -18,6 +18,7 @@ mod hand;
 mod tool_state;
 mod haptic;
 mod loads;
+pub mod loops;
 mod node_answer;
 mod numbers;
 pub mod organ;
@@ -36,6 +37,7 @@ mod stage;
 pub mod suture_spec;
 pub mod sutures;
 mod tear;
+mod tissue_patch;
 pub mod touch;
 mod transaction;
 pub mod vessels;
@@ -67,6 +69,7 @@ use constrain::{MOST_IMPOSED, Owner};
 use edits::Journal;
 use haptic::HapticScratch;
 use loads::Loads;
+use loops::{LoopScratch, Loops};
 use organ::{Organ, OrganError};
 use press::Press;
 use slide::SlideScratch;
@@ -189,6 +192,9 @@ pub struct World {
     touch_at_start: ContactMemory,
     loads: Loads,
     sutures: Vec<Suture>,
+    loops: Loops,
+    /// Only where an instrument has a loop.
+    loop_scratch: Option<Box<LoopScratch>>,
     gravity_m_per_s2: DVec3,
     /// Gravity and force fields of the last step.
     pull_m_per_s2: DVec3,
@@ -238,6 +244,7 @@ impl World {
         let of_suture = |suture| Suture::new(suture, &organ);
         let sutures: Vec<Suture> = spec.sutures.iter().map(of_suture).collect::<Result<_, _>>()?;
         let loads = Loads::new(&spec, &organ);
+        let (loops, loop_scratch) = (Loops::of(&spec.tools), LoopScratch::of(&spec.tools));
         let slide = Box::new(SlideScratch::for_nodes(organ.mesh().positions_m.len()));
         let self_contact = SurfaceContact::of(&spec, &organ, model.as_ref());
         let hands = spec.tools.iter().map(ToolState::at_home).collect();
@@ -269,6 +276,8 @@ impl World {
             touch_at_start: ContactMemory::default(),
             loads,
             sutures,
+            loops,
+            loop_scratch,
             gravity_m_per_s2,
             pull_m_per_s2: gravity_m_per_s2,
             step: 0,
@@ -320,6 +329,7 @@ impl World {
         let between = self.self_contact.iter().flat_map(|contact| contact.numbers());
         let surroundings = gravity.into_iter().chain(clock).chain(hands).chain(vessels).chain(pressed);
         let surroundings = surroundings.chain(between).chain(self.sutures.iter().flat_map(Suture::numbers));
+        let surroundings = surroundings.chain(self.loops.numbers());
         let surroundings: Vec<f64> = surroundings.collect();
         StateHash::of(&self.model.state(), self.organ.live_tetrahedra(), &surroundings)
     }
@@ -402,6 +412,8 @@ impl World {
         self.model.set_gravity(self.pull_m_per_s2);
         self.loads.restart(self.step);
         self.lay_threads_anew();
+        self.loops.reset();
+        self.close_tied_vessels();
         self.report = StepReport { step: self.step, ..StepReport::default() };
     }
 
@@ -545,11 +557,13 @@ impl World {
                 n_held_nodes: hand.report.n_held_nodes,
             }
         }));
-        snapshot.threads.resize_with(self.sutures.len(), ThreadSnapshot::default);
+        snapshot.threads.resize_with(snapshot.threads.len().max(self.sutures.len()), ThreadSnapshot::default);
         for ((suture, spec), thread) in self.sutures.iter().zip(&self.spec.sutures).zip(&mut snapshot.threads)
         {
             suture.snapshot_into(spec, thread);
         }
+        let poses = self.tool_states.iter().map(|hand| hand.now);
+        self.loops.snapshot_into(&self.organ, poses, &mut snapshot.threads, self.sutures.len());
         snapshot.n_resets = self.n_resets;
         snapshot.strands_m.clear();
         snapshot.strands_m.extend(self.strands_m().map(|(_, ends_m)| ends_m));

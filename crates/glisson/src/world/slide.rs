@@ -49,6 +49,8 @@ pub(super) struct SlideScratch {
     /// For patches of many contacts, with where their momentum takes them.
     pub(super) drifting: LocalWork,
     pub(super) local: LocalModel,
+    /// Nodes of the body that it was made for.
+    pub(super) n_nodes: usize,
 }
 
 impl SlideScratch {
@@ -57,7 +59,15 @@ impl SlideScratch {
         // A copy of one would have no room.
         let room = || LocalWork::with_room_for(n_nodes + n_nodes / 2).estimating(MOST_RINGS, TOLERANCE);
         let [work, drifting] = [room().from_one_ring(), room().from_one_ring().telling_drift()];
-        Self { work, drifting, local: LocalModel::new() }
+        Self { work, drifting, local: LocalModel::new(), n_nodes }
+    }
+
+    /// For a moment that is kept, in which no step is made.
+    pub(super) fn without_room() -> Self {
+        let none = || LocalWork::with_room_for(0);
+        // A clone has no room beyond what it holds.
+        let local = LocalModel::new().clone();
+        Self { work: none(), drifting: none(), local, n_nodes: 0 }
     }
 }
 

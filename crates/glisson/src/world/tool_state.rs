@@ -38,6 +38,8 @@ pub(super) struct ContactSearch<'a> {
     pub(super) is_placed: bool,
     /// Whether tissue that is held fixed stops the tool.
     pub(super) fixed_stops: bool,
+    /// Whether the tool's loop is drawn around tissue: the tip is in the thread then and pushes nothing.
+    pub(super) is_in_loop: bool,
     /// What was found elsewhere; then nothing is searched here.
     pub(super) detected: Option<&'a ExternalDetection>,
 }
@@ -98,6 +100,12 @@ pub(super) struct ToolState {
 pub(super) fn scissors_lack_n(jaws: &Jaws, tearing: Option<&Tearing>) -> Option<f64> {
     let needed_n = scissors_force_n(tearing?.energy, jaws.length_m);
     (jaws.closing_force_n < needed_n).then_some(needed_n)
+}
+
+/// Whether an edit put a node to another place in the tissue: who held it there holds it no more.
+pub(super) fn went_elsewhere(node: NodeId, change: &TopologyChange) -> bool {
+    let moved = change.moved_nodes.binary_search(&node);
+    moved.is_ok_and(|at| !change.moved_parents[at].is_empty())
 }
 
 impl ToolState {
@@ -271,10 +279,7 @@ impl ToolState {
     /// After an edit: contacts end on triangles that are gone, or whose nodes went to another place in the tissue; nodes that
     /// are gone or went there are no longer held.
     pub(super) fn follow(&mut self, topology: &Topology, change: &TopologyChange) {
-        let went_elsewhere = |node: NodeId| {
-            let moved = change.moved_nodes.binary_search(&node);
-            moved.is_ok_and(|at| !change.moved_parents[at].is_empty())
-        };
+        let went_elsewhere = |node| went_elsewhere(node, change);
         let has_changed = |contact: &HeldContact| {
             !topology.is_surface_triangle(contact.triangle)
                 || topology.triangle_nodes(contact.triangle).into_iter().any(went_elsewhere)
@@ -289,7 +294,7 @@ impl ToolState {
 
     /// Finds what the parts touch that touch nothing yet.
     pub(super) fn find_contacts(&mut self, tool: &Tool, search: &ContactSearch<'_>) {
-        let ContactSearch { organ, tearing, is_placed, fixed_stops, detected } = *search;
+        let ContactSearch { organ, tearing, is_placed, fixed_stops, is_in_loop, detected } = *search;
         for part in ToolPart::ALL {
             let holds = self.grasp.is_some() && part != ToolPart::Shaft;
             // An edge that cuts does not push.
@@ -300,6 +305,12 @@ impl ToolState {
             };
             if cuts {
                 self.contacts[part.index()] = None;
+                continue;
+            }
+            if is_in_loop && part == ToolPart::Tip {
+                self.contacts[part.index()] = None;
+                // Let go, it comes out first.
+                self.bury(part);
                 continue;
             }
             if self.contacts[part.index()].is_some() || holds {

@@ -6,6 +6,7 @@
 use super::active::{ActiveBefore, ActiveTip};
 use super::bodies::SurfaceContact;
 use super::loads::LoadsBefore;
+use super::loops::Loops;
 use super::organ::OrganBefore;
 use super::refusal::EditRefusal;
 use super::sutures::Suture;
@@ -31,6 +32,7 @@ pub(super) struct EditRecord {
     active: Vec<ActiveBefore>,
     vessels: Option<Vessels>,
     sutures: Vec<Suture>,
+    loops: Loops,
     /// Forces between bodies that last.
     contact: Option<ContactMemory>,
     /// Steps made when the edit was.
@@ -123,6 +125,7 @@ impl World {
         record.active.extend(self.active.iter().map(ActiveTip::before_edit));
         record.vessels.clone_from(&self.vessels);
         record.sutures.clone_from(&self.sutures);
+        record.loops = self.loops.clone();
         record.contact = self.self_contact.as_ref().and_then(|contact| contact.memory());
     }
 
@@ -155,6 +158,11 @@ impl World {
         self.self_contact = self_contact;
         self.active.iter_mut().for_each(|active| active.follow(self.organ.body(), change));
         self.sutures.iter_mut().for_each(|suture| suture.follow_edit(self.organ.body()));
+        let n_tied = self.n_tied_loops();
+        self.loops.follow_edit(self.organ.body().topology(), change);
+        if self.n_tied_loops() != n_tied {
+            self.close_tied_vessels();
+        }
         self.constraints.forces.reserve(self.organ.mesh().positions_m.len());
         Ok(())
     }
@@ -223,13 +231,16 @@ impl World {
         }
         if record.step == self.step {
             self.sutures.clone_from(&record.sutures);
+            self.loops = record.loops.clone();
             self.tool_states.clone_from(&record.tool_states);
         } else {
             self.tool_states.iter_mut().for_each(ToolState::let_go);
             self.press.forget();
             self.sutures.iter_mut().for_each(|suture| suture.follow_edit(self.organ.body()));
+            self.loops.go_back_to(&record.loops, self.organ.body().topology());
             self.organ.rest_at(self.model.state().positions_m);
         }
+        self.close_tied_vessels();
         for (active, before) in self.active.iter_mut().zip(&record.active) {
             active.go_back_to(before);
         }

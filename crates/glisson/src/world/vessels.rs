@@ -119,12 +119,17 @@ impl Vessels {
     /// Where clips are in the rest shape [m].
     pub fn clips_at_rest_m(&self) -> impl Iterator<Item = DVec3> + '_ {
         let all = self.tubes.iter().zip(&self.clips);
-        all.flat_map(|(tube, clips)| clips.iter().map(|clip| tube.point_m(clip.along)))
+        all.flat_map(|(tube, clips)| Self::set(clips).map(|clip| tube.point_m(clip.along)))
     }
 
     /// Number of clips set.
     pub fn n_clips(&self) -> usize {
-        self.clips.iter().map(Vec::len).sum()
+        self.clips.iter().map(|clips| Self::set(clips).count()).sum()
+    }
+
+    /// Clips, without threads.
+    fn set(clips: &[Clip]) -> impl Iterator<Item = &Clip> {
+        clips.iter().filter(|clip| !clip.is_thread)
     }
 
     /// Everything that bleeding depends on and is not told by the mesh.
@@ -242,6 +247,22 @@ impl Vessels {
         self.clips[tube].sort_by(|a, b| a.along.total_cmp(&b.along));
         self.find_open_ends(body);
         true
+    }
+
+    /// Threads are tight around these places at rest, each in their order, and no others: what goes through between them is closed
+    /// there. Allocates.
+    pub(super) fn tie(&mut self, threads: impl Iterator<Item = Vec<DVec3>>, body: &EditableMesh) {
+        self.clips.iter_mut().for_each(|clips| clips.retain(|clip| !clip.is_thread));
+        for around_m in threads {
+            let middle_m = around_m.iter().sum::<DVec3>() / around_m.len().max(1) as f64;
+            for (tube, clips) in self.tubes.iter().zip(&mut self.clips) {
+                let pieces = around_m.iter().zip(around_m.iter().cycle().skip(1));
+                let found = pieces.filter_map(|(&a, &b)| crossing(tube.ends_m, [middle_m, a, b]));
+                clips.extend(found.min_by(f64::total_cmp).map(|along| Clip::thread(along, tube)));
+                clips.sort_by(|a, b| a.along.total_cmp(&b.along));
+            }
+        }
+        self.find_open_ends(body);
     }
 
     /// Tears the vessel that is nearest to a place at rest, there; answers whether blood came of it. Allocates.

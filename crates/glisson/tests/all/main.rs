@@ -28,6 +28,7 @@ mod proxy;
 mod quasi_nonlinear;
 mod rough_hands;
 mod surface_copy;
+mod ligatures;
 mod sutures;
 mod task_runs;
 mod tissue_parts;

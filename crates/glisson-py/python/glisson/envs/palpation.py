@@ -36,8 +36,8 @@ class Palpation(EpisodeTask):
     marks where it is greater than one half and the tip is in the tissue. A mark ends the episode, right or wrong.
     """
 
-    action_names: ClassVar[tuple[str, ...]] = ("x", "z", "press", "mark")
-    observation_names: ClassVar[tuple[str, ...]] = (
+    action_names: tuple[str, ...] = ("x", "z", "press", "mark")
+    observation_names: tuple[str, ...] = (
         "tip_x_m",
         "tip_z_m",
         "depth_m",
@@ -48,7 +48,7 @@ class Palpation(EpisodeTask):
         "to_hardest_z_m",
         "share_of_steps",
     )
-    default_weights: ClassVar[dict[str, float]] = {"found": 10.0, "wrong": -2.0, "time": -0.02, "force": -0.1}
+    default_weights: ClassVar[dict[str, float]] = {"found": 10.0, "wrong": -1.0, "away": -1.0, "time": -0.02, "force": -0.1}
     most_steps = 150
 
     def __init__(self, *, edge_m: float = 0.0065, **options: Any) -> None:
@@ -143,6 +143,7 @@ class Palpation(EpisodeTask):
         terms = {
             "found": found.astype(np.float64),
             "wrong": (marks & ~found).astype(np.float64),
+            "away": away_m,
             "time": np.ones(len(marks)),
             "force": np.maximum(0.0, force_n - FORCE_THRESHOLD_N),
         }

@@ -36,8 +36,8 @@ class TissueRetraction(EpisodeTask):
     ``edge_m``: length of the mesh's edges; 5 mm makes 480 tetrahedra. The action moves the tip (x, y, z) and the jaws.
     """
 
-    action_names: ClassVar[tuple[str, ...]] = ("x", "y", "z", "jaws")
-    observation_names: ClassVar[tuple[str, ...]] = (
+    action_names: tuple[str, ...] = ("x", "y", "z", "jaws")
+    observation_names: tuple[str, ...] = (
         *(f"tip_{axis}_m" for axis in "xyz"),
         "jaws",
         "is_held",
@@ -58,8 +58,12 @@ class TissueRetraction(EpisodeTask):
         self.edge_m = edge_m
 
     def scenes(self) -> list[Scene]:
+        return [scene_from_dict(self.scene())]
+
+    def scene(self) -> dict[str, Any]:
+        """The flap and its grasper."""
         margin = 1.5 * self.edge_m
-        scene = {
+        return {
             "glisson_scene": 1,
             "name": "Tissue retraction",
             "simulation": {"time_step": "10 ms"},
@@ -85,7 +89,6 @@ class TissueRetraction(EpisodeTask):
                 },
             ],
         }
-        return [scene_from_dict(scene)]
 
     def tracked_at_rest_m(self) -> Floats:
         return EDGE_SIDES_M
@@ -105,16 +108,24 @@ class TissueRetraction(EpisodeTask):
         hands[:, 7] = np.clip(hands[:, 7] + JAW_STRIDE * actions[:, 3], 0.0, 1.0)
         return hands
 
+    def edge_m_of(self, seen: Seen) -> Floats:
+        """The middle of the free edge [m]."""
+        edge_m: Floats = seen.tracked_m.mean(axis=1)
+        return edge_m
+
     def observe(self, episodes: Episodes, seen: Seen) -> Floats:
-        tip_m, edge_m = seen.poses[:, 0, :3], seen.tracked_m.mean(axis=1)
+        tip_m, edge_m = seen.poses[:, 0, :3], self.edge_m_of(seen)
         jaws, held = seen.poses[:, 0, 7:8], (seen.n_held[:, :1] > 0).astype(np.float64)
         to_goal_m = episodes.goals["goal_m"] - edge_m
         return np.hstack([tip_m, jaws, held, edge_m - tip_m, to_goal_m, seen.forces_n[:, 0]])
 
     def terms(self, episodes: Episodes, seen: Seen, actions: Floats) -> tuple[dict[str, Floats], NDArray[np.bool_], NDArray[np.bool_]]:
-        tip_m, edge_m = seen.poses[:, 0, :3], seen.tracked_m.mean(axis=1)
+        return self.terms_for(np.linalg.norm(episodes.goals["goal_m"] - self.edge_m_of(seen), axis=1), seen)
+
+    def terms_for(self, to_goal_m: Floats, seen: Seen) -> tuple[dict[str, Floats], NDArray[np.bool_], NDArray[np.bool_]]:
+        """The terms where what is moved is so far from its goal [m]."""
+        tip_m, edge_m = seen.poses[:, 0, :3], self.edge_m_of(seen)
         held = seen.n_held[:, 0] > 0
-        to_goal_m = np.linalg.norm(episodes.goals["goal_m"] - edge_m, axis=1)
         done = held & (to_goal_m < REACHED_M)
         force_n = np.linalg.norm(seen.forces_n[:, 0], axis=1)
         terms = {
@@ -133,7 +144,11 @@ class TissueRetraction(EpisodeTask):
         opens[fresh | (jaws == 1.0)] = 0.0
 
     def scripted(self, episodes: Episodes, seen: Seen) -> Floats:
-        hands_m, edge_m = episodes.hands[:, :3], seen.tracked_m.mean(axis=1)
+        return self.scripted_for(episodes.goals["goal_m"] - self.edge_m_of(seen), episodes, seen)
+
+    def scripted_for(self, to_goal_m: Floats, episodes: Episodes, seen: Seen) -> Floats:
+        """The edge is taken, and moved this way [m] while it is held."""
+        hands_m, edge_m = episodes.hands[:, :3], self.edge_m_of(seen)
         held = seen.n_held[:, 0] > 0
         opens = episodes.memory["opens"] > 0
         # Before the edge first, so that it comes between the jaws; then in, and together.
@@ -144,6 +159,6 @@ class TissueRetraction(EpisodeTask):
         is_closing = (episodes.hands[:, 7] < 1.0) & ~opens
         away_m = np.linalg.norm(to_grip_m, axis=1)
         near = (away_m < np.where(is_closing, 0.010, 0.0015)) & ~opens
-        way_m = np.where(held[:, None], episodes.goals["goal_m"] - edge_m, np.where(near[:, None], 0.0, before_m))
+        way_m = np.where(held[:, None], to_goal_m, np.where(near[:, None], 0.0, before_m))
         jaws = np.where(held | near, -1.0, 1.0)
         return np.hstack([np.clip(way_m / STRIDE_M, -1.0, 1.0), jaws[:, None]])

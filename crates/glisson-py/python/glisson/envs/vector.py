@@ -12,6 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from glisson import Worlds
+from glisson.envs.observations import Observation, Observed
 from glisson.envs.task import EpisodeTask, Episodes, Floats, Seen
 
 
@@ -43,7 +44,7 @@ class Stepped(NamedTuple):
 class EpisodeBatch:
     """The episodes of a task in many worlds: what environments of one world and of many share."""
 
-    def __init__(self, task: EpisodeTask, num_envs: int, threads: int | None) -> None:
+    def __init__(self, task: EpisodeTask, num_envs: int, threads: int | None, observation: Observation) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs is {num_envs}; give 1 or more")
         scenes = task.scenes()
@@ -55,13 +56,14 @@ class EpisodeBatch:
         # The world of each environment.
         self.active = np.arange(num_envs) * self.n_variants
         self.randoms = [np_random()[0] for _ in range(num_envs)]
-        self.episodes = Episodes(np.zeros((num_envs, 9)), {}, np.zeros(num_envs, dtype=np.int64))
+        of_hands = (9,) if task.hands == 1 else (task.hands, 9)
+        self.episodes = Episodes(np.zeros((num_envs, *of_hands)), {}, np.zeros(num_envs, dtype=np.int64))
         self.seen: Seen
+        self.observation = observation
         #: What is observed now.
-        self.observed: NDArray[np.float32]
-        n_seen, n_actions = len(task.observation_names), len(task.action_names)
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (n_seen,), np.float32)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
+        self.observed: Observed
+        self.observation_space = observation.space(task)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(task.action_names),), np.float32)
 
     @property
     def worlds(self) -> Worlds:
@@ -93,20 +95,64 @@ class EpisodeBatch:
         self.episodes.steps[numbers] = 0
         places = self.active[numbers].tolist()
         self.worlds.restart(places)
-        poses = self.worlds.poses[places]
-        poses[:, 0] = self.episodes.hands[numbers]
-        self.worlds.place(poses, places)
+        self.worlds.place(self._poses(places, numbers), places)
         self._look(which, which)
 
     def _look(self, moved: NDArray[np.bool_], fresh: NDArray[np.bool_]) -> None:
         """Sees all; those that did not move have remembered this moment already."""
         worlds, active, memory = self.worlds, self.active, self.episodes.memory
-        self.seen = Seen(worlds.poses[active], worlds.forces_n[active], worlds.n_held[active], worlds.tracked_m[active])
+        self.seen = Seen(
+            worlds.poses[active],
+            worlds.forces_n[active],
+            worlds.n_held[active],
+            worlds.tracked_m[active],
+            worlds.loop_tensions_n[active],
+            worlds.n_tied_loops[active],
+            worlds.task_progress[active],
+            worlds.task_marks_m[active],
+            worlds.nearest_strands_m[active],
+            worlds.blood_lost_m3[active],
+            worlds.removed_volumes_m3[active],
+        )
         remembered = {name: values[~moved].copy() for name, values in memory.items()}
         self.task.remember(self.episodes, self.seen, fresh)
         for name, values in remembered.items():
             memory[name][~moved] = values
-        self.observed = self.task.observe(self.episodes, self.seen).astype(np.float32)
+        state = self.task.observe(self.episodes, self.seen).astype(np.float32)
+        rows = np.flatnonzero(moved)
+        if not hasattr(self, "observed") or rows.size == self.n:
+            self.observed = self.observation.read(state, worlds, active, self.task.hands)
+        elif rows.size > 0:
+            # The others see what they saw.
+            self._exchange(rows, self.observation.read(state[rows], worlds, active[rows], self.task.hands))
+
+    def _exchange(self, rows: NDArray[np.int64], fresh: Observed) -> None:
+        observed = self.observed_by_all()
+        if isinstance(observed, dict) and isinstance(fresh, dict):
+            for name, values in fresh.items():
+                observed[name][rows] = values
+        elif not isinstance(observed, dict) and not isinstance(fresh, dict):
+            observed[rows] = fresh
+        self.observed = observed
+
+    def observed_by(self, i: int) -> Observed:
+        """What one environment observes, of its own."""
+        if isinstance(self.observed, dict):
+            return {name: values[i].copy() for name, values in self.observed.items()}
+        one: NDArray[Any] = self.observed[i].copy()
+        return one
+
+    def observed_by_all(self) -> Observed:
+        """What all observe, of their own."""
+        if isinstance(self.observed, dict):
+            return {name: values.copy() for name, values in self.observed.items()}
+        return self.observed.copy()
+
+    def _poses(self, places: list[int], which: NDArray[Any]) -> Floats:
+        """All instruments of some worlds, the hands where they are wanted."""
+        poses = self.worlds.poses[places]
+        poses[:, : self.task.hands] = self.episodes.hands[which].reshape(len(places), self.task.hands, 9)
+        return poses
 
     def step(self, actions: NDArray[Any], which: NDArray[np.bool_]) -> Stepped:
         """A step in some environments."""
@@ -121,9 +167,10 @@ class EpisodeBatch:
         self.episodes.hands[which] = wanted[which]
         places = self.active[which].tolist()
         if places:
-            poses = self.worlds.poses[places]
-            poses[:, 0] = self.episodes.hands[which]
-            self.worlds.step(poses, self.steps_per_action, places)
+            self.worlds.step(self._poses(places, which), self.steps_per_action, places)
+            clips = self.task.clips(actions) & which[:, None]
+            for hand in np.flatnonzero(clips.any(axis=0)):
+                self.worlds.clip(int(hand), self.active[clips[:, hand]].tolist())
         self.episodes.steps[which] += 1
         self._look(which, np.zeros(self.n, dtype=bool))
         terms, reached, over = self.task.terms(self.episodes, self.seen, actions)
@@ -140,7 +187,7 @@ class EpisodeBatch:
         return np.clip(self.task.scripted(self.episodes, self.seen), -1.0, 1.0)
 
 
-class TissueVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+class TissueVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
     """Many environments of a task (gymnasium.vector.VectorEnv)."""
 
     def __init__(
@@ -151,9 +198,10 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np
         threads: int | None = None,
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        observation: Observation | None = None,
     ) -> None:
         self.render_mode = checked_render_mode(render_mode)
-        self.batch = EpisodeBatch(task, num_envs, threads)
+        self.batch = EpisodeBatch(task, num_envs, threads, observation or Observation())
         self.num_envs = num_envs
         self.metadata = {"autoreset_mode": AutoresetMode(autoreset_mode), "render_modes": RENDER_MODES, "render_fps": task.control_rate_hz}
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -164,7 +212,7 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np
         self._over: NDArray[np.bool_] = np.zeros(num_envs, dtype=bool)
         self._begun = False
 
-    def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """New episodes in all environments, or in those of ``options={"reset_mask": ...}``."""
         if isinstance(seed, (int, np.integer)):
             super().reset(seed=int(seed))
@@ -184,9 +232,9 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np
         self.batch.begin(which)
         self._over[which] = False
         self._begun = True
-        return self.batch.observed.copy(), {}
+        return self.batch.observed_by_all(), {}
 
-    def step(self, actions: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+    def step(self, actions: NDArray[np.float32]) -> tuple[Any, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """A step in all environments; what becomes of those whose episode is over says ``autoreset_mode``."""
         if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset before the first step")
@@ -206,7 +254,7 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np
         elif self.autoreset_mode == AutoresetMode.SAME_STEP and self._over.any():
             final = np.full(self.num_envs, None, dtype=object)
             for i in np.flatnonzero(self._over):
-                final[i] = self.batch.observed[i].copy()
+                final[i] = self.batch.observed_by(int(i))
             ended = self._over.copy()
             final_info = {key: value.copy() for key, value in infos.items() if not key.startswith("_")}
             final_info |= {f"_{key}": ended for key in final_info}
@@ -217,7 +265,7 @@ class TissueVectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], NDArray[np
             infos["final_info"], infos["_final_info"] = final_info, ended
             self.batch.begin(ended)
             self._over[:] = False
-        return self.batch.observed.copy(), rewards, done, cut_off, infos
+        return self.batch.observed_by_all(), rewards, done, cut_off, infos
 
     @staticmethod
     def _add(infos: dict[str, Any], name: str, values: NDArray[Any], which: NDArray[np.bool_]) -> None:

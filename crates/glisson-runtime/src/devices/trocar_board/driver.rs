@@ -468,6 +468,7 @@ fn wrong_instrument(instrument: InstrumentType) -> &'static str {
         InstrumentType::Endoscope => acts_as!("endoscope", "an \"endoscope\""),
         InstrumentType::ClipApplier => acts_as!("clip applier", "a \"clipper\""),
         InstrumentType::SuctionTube => acts_as!("suction tube", "a \"suction\""),
+        InstrumentType::LigatingLoop => acts_as!("ligating loop", "a \"loop\""),
     }
 }
 

@@ -14,7 +14,7 @@ use self::maps::{Maps, Numbering};
 use self::part::Part;
 use super::{
     Answered, Constraints, Correction, DeformableModel, LevelOfDetail, LocalModel, LocalWork, ModelReport,
-    ModelState, ModelUndo, NodalForce, StepAnswer, TopologyRefusal,
+    ModelState, ModelUndo, NodalForce, NodalSpring, StepAnswer, TopologyRefusal,
 };
 use crate::workers::SharedWorkers;
 use glisson_mesh::math::DVec3;
@@ -242,6 +242,13 @@ impl DeformableModel for Composite {
         for mut part in self.all() {
             let Part { model, constraints, .. } = &mut *part;
             model.apply(constraints);
+        }
+    }
+
+    fn steady(&mut self, spring: NodalSpring) {
+        if let Some(place) = self.maps.nodes.get(spring.node.index()) {
+            let of_part = NodalSpring { node: NodeId(place.local), ..spring };
+            lock(&self.parts[place.part as usize]).model.steady(of_part);
         }
     }
 

@@ -15,7 +15,7 @@ use self::bearing::Bearing;
 use self::constraints::Carried;
 use super::{
     Answered, Constraints, Correction, DeformableModel, LevelOfDetail, LocalModel, LocalWork, ModelReport,
-    ModelState, ModelUndo, NodalForce, StepAnswer, TopologyRefusal, follow_edit,
+    ModelState, ModelUndo, NodalForce, NodalSpring, StepAnswer, TopologyRefusal, follow_edit,
 };
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -207,6 +207,21 @@ impl DeformableModel for Embedded {
         let here_m = |node: NodeId| state.positions_m[node.index()] - rest_m[node.index()];
         let of_copies = self.carried.take_over(constraints, self.embedding.ties(), here_m);
         self.model.apply(of_copies);
+    }
+
+    fn steady(&mut self, spring: NodalSpring) {
+        if self.is_whole {
+            self.model.steady(spring);
+            return;
+        }
+        // What carries the node goes as far as the node has to.
+        let Some(tie) = self.embedding.ties().get(spring.node.index()).copied() else { return };
+        let way_m = spring.place_m - self.positions_m[spring.node.index()];
+        for (node, weight) in tie.iter() {
+            let place_m = self.model.state().positions_m[node.index()] + way_m;
+            let stiffness_n_per_m = spring.stiffness_n_per_m * weight;
+            self.model.steady(NodalSpring { node, place_m, stiffness_n_per_m });
+        }
     }
 
     fn step(&mut self, dt_s: f64) {

@@ -47,6 +47,7 @@ mod relaxation;
 pub(super) mod row;
 mod shares;
 mod stable_neo_hooke;
+mod steadying;
 mod successor;
 mod topology;
 
@@ -60,11 +61,12 @@ use self::lagged_state::{Edited, LaggedState, NodeTerms};
 use self::ligaments::Ligaments;
 use self::newton::{MOST_NEWTON_ITERATIONS, Scratch};
 use self::relaxation::Relaxation;
+use self::steadying::Steadying;
 use self::successor::Successor;
 use super::bounded_vec::BoundedVec;
 use super::{
     Answered, Attachment, Constraints, Correction, DeformableModel, DynamicBody, LevelOfDetail, LocalModel,
-    LocalWork, ModelReport, ModelState, ModelUndo, NodalForce, Rayleigh, RestStress, StepAnswer,
+    LocalWork, ModelReport, ModelState, ModelUndo, NodalForce, NodalSpring, Rayleigh, RestStress, StepAnswer,
     TopologyRefusal,
 };
 use crate::material::{PronyHistory, StableNeoHooke};
@@ -144,6 +146,7 @@ pub struct ImplicitEuler {
     /// Nodes with a tetrahedron and a free axis.
     moves: Vec<bool>,
     ligaments: Ligaments,
+    steadying: Steadying,
     /// Forces [N] that the stress at rest balances, without the ligaments' pull at rest.
     rest_load_n: Vec<DVec3>,
     elements: Elements,
@@ -252,6 +255,7 @@ impl ImplicitEuler {
             mass_kg: Vec::new(),
             moves: Vec::new(),
             ligaments: Ligaments::new(params.body.attachments.to_vec()),
+            steadying: Steadying::new(),
             rest_load_n: zero.clone(),
             lagged: None,
             successor: None,
@@ -545,6 +549,7 @@ impl ImplicitEuler {
     }
 
     fn release_all(&mut self) {
+        self.steadying.clear(&mut self.scratch.ligament_n);
         self.outer_n.fill(DVec3::ZERO);
         self.is_held.fill(false);
         self.held.clear();
@@ -588,6 +593,13 @@ impl DeformableModel for ImplicitEuler {
         let n_forces = constraints.displacements.len().min(self.n_nodes());
         self.constraint_forces_n.resize(n_forces, DVec3::ZERO);
         self.update_mask();
+    }
+
+    fn steady(&mut self, spring: NodalSpring) {
+        let is_sound = spring.place_m.is_finite() && spring.stiffness_n_per_m >= 0.0;
+        if self.takes_load(spring.node) && is_sound {
+            self.steadying.add(spring);
+        }
     }
 
     fn step(&mut self, dt_s: f64) {

@@ -136,7 +136,7 @@ pub(super) struct Balance {
     scale_n: f64,
     /// Incremental potential [J].
     pub(super) potential_j: f64,
-    /// Energy of the tissue and of ligaments [J].
+    /// Energy of the tissue, of ligaments and of springs [J].
     pub(super) stored_j: f64,
     /// Work of gravity and outer forces since the start [J].
     pub(super) work_j: f64,
@@ -420,11 +420,16 @@ impl ImplicitEuler {
     pub(super) fn balance(&mut self, factors: StepFactors, energy_j: f64) -> Balance {
         let StepFactors { inertia, mass_damping, stiffness_damping } = factors;
         let s = &mut self.scratch;
-        let ligaments_j = if self.ligaments.is_empty() {
+        self.steadying.start(&mut s.ligament_n);
+        let mut ligaments_j = if self.ligaments.is_empty() {
             0.0
         } else {
             self.ligaments.pull_into(&self.mesh.positions_m, &self.displacement_m, &mut s.ligament_n)
         };
+        if !self.steadying.is_empty() {
+            let (rest_m, moved_m) = (&self.mesh.positions_m, &self.displacement_m);
+            ligaments_j += self.steadying.add_pull(rest_m, moved_m, &mut s.ligament_n);
+        }
         let (mut residual, mut applied, mut inertial, mut holding) = (0.0, 0.0, 0.0, 0.0);
         let mut potential_j = (1.0 + stiffness_damping) * energy_j + ligaments_j;
         let (mut work_j, mut size_j) = (0.0, potential_j.abs());
@@ -517,6 +522,7 @@ impl ImplicitEuler {
                     s.product_n[n] * per_stiffness + s.search_m[n] * (self.mass_kg[n] * per_mass);
             }
             self.ligaments.add_product(&s.search_m, &mut s.product_n);
+            self.steadying.add_product(&s.search_m, &mut s.product_n);
             let mut curvature = 0.0;
             for n in 0..s.product_n.len() {
                 s.product_n[n] *= self.mask[n];

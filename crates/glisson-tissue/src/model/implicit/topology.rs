@@ -22,6 +22,7 @@ impl ImplicitEuler {
     /// Follows all edits; all allocate. A refused edit leaves the model half changed: undo copies the whole model.
     pub(super) fn follow(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         TopologyRefusal::of_other_mesh(NAME, change, [self.tet_is_live.len(), self.n_nodes()])?;
+        self.steadying.clear(&mut self.scratch.ligament_n);
         let live = self.mesh.tetrahedra.iter().enumerate().filter(|(t, _)| self.tet_is_live[*t]);
         let growth = TopologyUpdate::of(NAME, mesh, change, &self.mesh.positions_m, live)?;
         if let Some(growth) = &growth {

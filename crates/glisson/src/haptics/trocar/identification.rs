@@ -1,6 +1,6 @@
 //! Which instrument is in the trocar: a tag on it, read as a bar code or by radio (seed `000`, s. 5.3.1, 5.4.5).
 //!
-//! The seed wants about ten types told apart and does not list them; these twelve cover its gestures (palpate, grasp, biopsy,
+//! The seed wants about ten types told apart and does not list them; these thirteen cover its gestures (palpate, grasp, biopsy,
 //! cut, suture) and what goes through trocars beside them. A tag is four bytes: type, serial number (least byte first), and
 //! the check byte of both, CRC-8 with the polynomial x^8 + x^2 + x + 1.
 
@@ -31,11 +31,13 @@ pub enum InstrumentType {
     ClipApplier,
     /// Sucks and rinses.
     SuctionTube,
+    /// Draws a loop of thread tight around a stump.
+    LigatingLoop,
 }
 
 impl InstrumentType {
     /// All of them, in the order of their codes from 1.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::PalpationProbe,
         Self::AtraumaticGrasper,
         Self::ToothedGrasper,
@@ -48,6 +50,7 @@ impl InstrumentType {
         Self::Endoscope,
         Self::ClipApplier,
         Self::SuctionTube,
+        Self::LigatingLoop,
     ];
 
     /// On the tag; 0 is no code.
@@ -75,6 +78,7 @@ impl InstrumentType {
             "endoscope",
             "clip applier",
             "suction tube",
+            "ligating loop",
         ][self as usize]
     }
 
@@ -97,6 +101,7 @@ impl InstrumentType {
             Self::Endoscope => "endoscope",
             Self::ClipApplier => "clipper",
             Self::SuctionTube => "suction",
+            Self::LigatingLoop => "loop",
         }
     }
 }

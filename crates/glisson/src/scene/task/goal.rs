@@ -8,6 +8,7 @@ use super::tool_name::read_tool;
 use crate::math::DVec3;
 use crate::tool::Tool;
 use crate::units::Dimension;
+use crate::world::loops::MOST_TIED;
 
 /// What a stage wants. Places are those at rest, and go with the tissue.
 #[derive(Clone, Debug, PartialEq)]
@@ -101,6 +102,13 @@ pub enum GoalSource {
         /// Where on a vessel at rest, and how near [m]; anywhere when absent.
         near_m: Option<(DVec3, f64)>,
     },
+    /// Ligating loops are tied off.
+    Ligate {
+        /// How many.
+        n_loops: u32,
+        /// Where at rest, the middle of what each is around, and how near [m]; anywhere when absent.
+        near_m: Option<(DVec3, f64)>,
+    },
     /// It bleeds no more than this.
     Bleed {
         /// Blood that comes out [m3/s].
@@ -150,10 +158,11 @@ const GOALS: &[GoalRow] = &[
     GoalRow { key: "excise", read: read_excise },
     GoalRow { key: "see", read: read_see },
     GoalRow { key: "clip", read: read_clip },
+    GoalRow { key: "ligate", read: read_ligate },
     GoalRow { key: "bleed", read: read_bleed },
 ];
 
-const GOAL_EXAMPLE: &str = "touch = { tool = \"probe\" }; exactly one of reach, touch, mark, grasp, lift, cut, part, detach, excise, see, clip, bleed";
+const GOAL_EXAMPLE: &str = "touch = { tool = \"probe\" }; exactly one of reach, touch, mark, grasp, lift, cut, part, detach, excise, see, clip, ligate, bleed";
 const POINT: &str = "point = [\"0 mm\", \"-50 mm\", \"0 mm\"]";
 const WITHIN: &str = "within = \"5 mm\"";
 
@@ -270,6 +279,15 @@ fn read_see(table: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSource
     let within_rad = table.positive("within", Dimension::Angle)?.unwrap_or(NEAR_MIDDLE_RAD);
     let nearer_than_m = table.positive("nearer_than", Dimension::Length)?;
     Ok(GoalSource::See { tool, point_m, within_rad, nearer_than_m })
+}
+
+fn read_ligate(table: &mut Section<'_>, scene: &TaskScene<'_>) -> Result<GoalSource, SceneError> {
+    if scene.tools.iter().all(|tool| tool.kind.ligating_loop().is_none()) {
+        let allowed = "an instrument of the kind loop among the instruments".into();
+        return Err(table.wrong_table("ligate", "without a ligating loop".into(), allowed));
+    }
+    let n_loops = table.whole_number("count", 1..=MOST_TIED as u64)?.map_or(1, |n| n as u32);
+    Ok(GoalSource::Ligate { n_loops, near_m: read_near(table)? })
 }
 
 fn read_clip(table: &mut Section<'_>, _: &TaskScene<'_>) -> Result<GoalSource, SceneError> {

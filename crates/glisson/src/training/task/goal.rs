@@ -92,6 +92,7 @@ impl Goal {
             GoalSource::Reach { .. }
             | GoalSource::Detach { .. }
             | GoalSource::Clip { .. }
+            | GoalSource::Ligate { .. }
             | GoalSource::Bleed { .. } => Vec::new(),
         };
         if let GoalSource::Detach { bodies } = source
@@ -214,6 +215,13 @@ impl Goal {
             GoalSource::Clip { n_clips, near_m } => {
                 let set = n_clips_set(world, near_m).saturating_sub(self.n_clips_before);
                 Look::towards(set as f64, f64::from(n_clips))
+            }
+            GoalSource::Ligate { n_loops, near_m } => {
+                let is_near = |middle_m: &DVec3| {
+                    near_m.is_none_or(|(near_m, within_m)| middle_m.distance(near_m) <= within_m)
+                };
+                let tied = world.tied_loops_at_rest_m().filter(is_near).count();
+                Look::towards(tied as f64, f64::from(n_loops))
             }
             GoalSource::Bleed { below_m3_per_s } => {
                 let rate_m3_per_s = world.vessels().map_or(0.0, Vessels::bleeding_m3_per_s);

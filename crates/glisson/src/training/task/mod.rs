@@ -12,4 +12,4 @@ pub use cut_line::CutQuality;
 pub use events::{Effects, EventNews};
 pub use excision::Excised;
 pub use result::{GateLine, GestureTime, MetricLine, Outcome, StageResult, TaskRecord, TaskResult};
-pub use run::{MarkKind, TaskError, TaskMark, TaskRun, TaskStatus};
+pub use run::{MarkKind, TaskError, TaskMark, TaskProgress, TaskRun, TaskStatus};

@@ -115,9 +115,9 @@ impl TaskMark {
             GoalSource::Lift { point_m, .. }
             | GoalSource::See { point_m, .. }
             | GoalSource::Excise { center_m: point_m, .. } => (MarkKind::Place, vec![*point_m]),
-            GoalSource::Touch { near_m, .. } | GoalSource::Grasp { near_m, .. } => {
-                (MarkKind::Place, vec![near_m.as_ref()?.0])
-            }
+            GoalSource::Touch { near_m, .. }
+            | GoalSource::Grasp { near_m, .. }
+            | GoalSource::Ligate { near_m, .. } => (MarkKind::Place, vec![near_m.as_ref()?.0]),
             GoalSource::Mark { .. }
             | GoalSource::Part { .. }
             | GoalSource::Detach { .. }
@@ -163,6 +163,19 @@ pub struct TaskStatus {
     pub events: Vec<EventNews>,
     /// Once it is over.
     pub outcome: Option<Outcome>,
+}
+
+/// How far a task is, in numbers.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TaskProgress {
+    /// Stages that are done.
+    pub n_done: usize,
+    /// Stages in all.
+    pub n_stages: usize,
+    /// How far the stage is, 0 to 1.
+    pub share: f64,
+    /// Mistakes so far.
+    pub n_mistakes: usize,
 }
 
 /// The clock of a task starts when the tip of an instrument has gone so far from where it was [m]: a choice.
@@ -357,6 +370,22 @@ impl TaskRun {
         self.outcome
     }
 
+    /// How far it is.
+    pub fn progress(&self) -> TaskProgress {
+        TaskProgress {
+            n_done: self.stage,
+            n_stages: self.goals.len(),
+            share: self.look.share,
+            n_mistakes: self.mistakes.len(),
+        }
+    }
+
+    /// Where something is to be done now, if that is a place.
+    pub fn mark(&self) -> Option<TaskMark> {
+        let stage = self.source.stages.get(self.stage).filter(|_| self.outcome.is_none());
+        stage.and_then(|stage| TaskMark::of(&stage.goal))
+    }
+
     /// What who does it is shown now.
     pub fn status(&self) -> TaskStatus {
         let stage = self.source.stages.get(self.stage);
@@ -370,7 +399,7 @@ impl TaskRun {
             n_stages: self.goals.len(),
             share: (self.look.share * 100.0).floor() / 100.0,
             hint: hint.and_then(|stage| stage.hint.clone()),
-            mark: stage.filter(|_| self.outcome.is_none()).and_then(|stage| TaskMark::of(&stage.goal)),
+            mark: self.mark(),
             n_mistakes: self.mistakes.len(),
             mistake: self.mistakes.last().map(|mistake| mistake.detail.clone()),
             began_s: self.began_s,

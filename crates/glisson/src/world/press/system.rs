@@ -1,5 +1,7 @@
 //! The contacts of a step as one system: what touches, how organ and instruments answer, and the forces that were found.
 
+mod room;
+
 use super::meeting::{MOST_OF_PAIR, Met, PairContact, PairKey};
 use super::points::{AROUND, ContactPoint, Look, PointSearch};
 use super::sub_grid::Indentation;
@@ -149,48 +151,6 @@ pub(in crate::world) fn softer(softness: f64, further: f64) -> f64 {
 }
 
 impl Press {
-    pub(in crate::world) fn new() -> Self {
-        Self {
-            contacts: Vec::with_capacity(MOST_CONTACTS + MOST_BETWEEN),
-            of: Vec::with_capacity(MOST_CONTACTS + MOST_BETWEEN),
-            nodes: Vec::with_capacity(MOST_NODES),
-            is_held: Vec::with_capacity(MOST_NODES),
-            response: Response::new(N_VERTICES, 1 + MAX_TOOLS).with_room_for_groups_of(MOST_NODES),
-            moves_m: vec![DVec3::ZERO; N_VERTICES],
-            turned_by_tip: [DMat3::ZERO; MAX_TOOLS],
-            torques_n_m: [DVec3::ZERO; MAX_TOOLS],
-            slips: [false; MAX_TOOLS],
-            forces: Vec::with_capacity(MOST_NODES),
-            touched: Vec::with_capacity(MOST_NODES),
-            softness: 1.0,
-            pressed: Vec::with_capacity(MOST_CONTACTS),
-            sub_grid_m_per_n: [[0.0; JAWS]; MAX_TOOLS],
-            outward: [[DVec3::ZERO; JAWS]; MAX_TOOLS],
-            further_out_m: [[0.0; JAWS]; MAX_TOOLS],
-            between: Vec::with_capacity(MOST_BETWEEN),
-            met: Self::room_for_met(),
-            on_nodes_n: Vec::with_capacity(MOST_NODES),
-            delassus: Delassus::with_room_for(MOST_DENSE),
-            search: PointSearch::new(),
-            answers_m: vec![DVec3::ZERO; N_VERTICES],
-        }
-    }
-
-    /// The same with its room.
-    pub(in crate::world) fn duplicate(&self) -> Self {
-        let mut copy = Self::new();
-        copy.forces.extend_from_slice(&self.forces);
-        copy.touched.extend_from_slice(&self.touched);
-        copy.pressed.extend_from_slice(&self.pressed);
-        copy.between.extend_from_slice(&self.between);
-        copy.sub_grid_m_per_n = self.sub_grid_m_per_n;
-        copy.outward = self.outward;
-        copy.further_out_m = self.further_out_m;
-        copy.softness = self.softness;
-        copy.torques_n_m = self.torques_n_m;
-        copy
-    }
-
     /// Everything that the next step depends on.
     pub(in crate::world) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
         let forces = self.forces.iter().map(|force| (force.node, force.force_n));

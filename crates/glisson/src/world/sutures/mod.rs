@@ -2,7 +2,7 @@
 //!
 //! A thread is a rod ([`crate::suture`]). What it passes through and lies on gives way as in [`super::press`]: under forces F of the
 //! thread the touched nodes go to x(t) + d + C (F - f), with the forces f of the last step and the way d that their motion takes them;
-//! so tissue and thread meet in the middle within a step, and the forces go to the model. In a single explicit step, which C knows
+//! so tissue and thread meet in the middle within a step ([`super::tissue_patch`]), and the forces go to the model. In a single explicit step, which C knows
 //! exactly, their last acceleration goes on as well; foreseen for a longer step, where it is that of few of the nodes that take part,
 //! it shook the tissue. C joins places: what one pulls on, another feels. Each place is taken to be as soft as all of them make it
 //! together, which never overshoots, and the step is repeated some times from where that led ([`ROUNDS`]). In each round the thread
@@ -16,9 +16,12 @@ mod passage;
 mod settling;
 mod walls;
 
+pub(super) use walls::surface_at;
+
 use super::World;
 use super::organ::Organ;
 use super::suture_spec::{SutureError, SutureSpec};
+use super::tissue_patch::PatchMemory;
 use super::tool_state::ToolState;
 use crate::math::DVec3;
 use crate::mesh::NodeId;
@@ -30,7 +33,7 @@ use crate::suture::{Rod, Solver, nearest_to_itself_m};
 use crate::tool::{MAX_TOOLS, Tool};
 use grip::{Grip, MOST_CLIPS, ThreadClip, strands};
 use passage::{MOST_PASSAGES, Passage, is_inside, laid};
-use settling::{Scratch, TouchedNode};
+use settling::Scratch;
 
 /// How often a step is repeated from where it led: a choice.
 const ROUNDS: usize = 5;
@@ -50,10 +53,8 @@ pub struct Suture {
     grips: [Option<Grip>; MAX_TOOLS],
     /// Force of each node on the tissue that it lies on in the last step [N].
     lies_n: Vec<DVec3>,
-    /// The nodes of tissue that were touched in the last step.
-    touched: BoundedVec<TouchedNode>,
-    /// How many times as soft as the model says the tissue is taken to be.
-    softness: f64,
+    /// What is known of the tissue that was touched in the last step.
+    memory: PatchMemory,
     /// Forces on nodes of the tissue in the last step, ascending.
     forces: BoundedVec<NodalForce>,
     /// Forces on the instruments that hold it in the last step [N].
@@ -97,8 +98,7 @@ impl Suture {
             clips: BoundedVec::with_capacity(MOST_CLIPS),
             grips: [None; MAX_TOOLS],
             lies_n: vec![DVec3::ZERO; n_nodes],
-            touched: BoundedVec::with_capacity(Scratch::MOST_NODES),
-            softness: 1.0,
+            memory: PatchMemory::new(),
             forces: BoundedVec::with_capacity(4 * MOST_PASSAGES + 3 * n_nodes),
             on_tools_n: [DVec3::ZERO; MAX_TOOLS],
             scratch: Box::new(Scratch::for_nodes(n_nodes)),
@@ -181,19 +181,18 @@ impl Suture {
         let grips = self.grips.iter().enumerate();
         let grips = grips.filter_map(|(tool, grip)| Some((tool, (*grip)?)));
         let grips = grips.flat_map(|(tool, grip)| std::iter::once(tool as f64).chain(grip.numbers()));
-        let touched = self.touched.iter().flat_map(TouchedNode::numbers);
         let forces = self.forces.iter().map(|force| (force.node, force.force_n));
         let forces = forces.flat_map(|(node, f)| [f64::from(node.0), f.x, f.y, f.z]);
-        let counts = [self.passages.len(), self.clips.len(), self.touched.len()].map(|n| n as f64);
+        let counts = [self.passages.len(), self.clips.len()].map(|n| n as f64);
         let inside = f64::from(u8::from(self.tip_is_inside));
         let rod = rod.flat_map(|v| v.to_array());
         rod.chain(passages)
             .chain(clips)
             .chain(grips)
-            .chain(touched)
+            .chain(self.memory.numbers())
             .chain(forces)
             .chain(counts)
-            .chain([inside, self.softness])
+            .chain([inside])
     }
 
     /// Takes hold where jaws have just closed, and lets go where they are open.
@@ -230,7 +229,7 @@ impl Suture {
         passage::follow(&mut self.passages, &mut self.tip_is_inside, body);
         let topology = body.topology();
         let is_there = |node: NodeId| node.index() < topology.n_nodes() && topology.is_live_node(node);
-        self.touched.retain(|touched| is_there(touched.node));
+        self.memory.retain(is_there);
         self.forces.retain(|force| is_there(force.node));
     }
 
@@ -297,7 +296,6 @@ impl World {
 
     /// Moves the threads, and finds their forces. Allocates nothing.
     pub(super) fn sew(&mut self) {
-        self.hold_back_from_threads();
         let mut sutures = std::mem::take(&mut self.sutures);
         for (number, suture) in sutures.iter_mut().enumerate() {
             let spec = &self.spec.sutures[number];
@@ -309,7 +307,7 @@ impl World {
     }
 
     /// Instruments that hold a thread are no further from where they were than their hand's greatest force allows.
-    fn hold_back_from_threads(&mut self) {
+    pub(super) fn hold_back_from_threads(&mut self) {
         let Some(hand) = self.spec.hand else { return };
         let most_m = hand.most_behind_m(self.spec.time_step_s);
         for place in 0..self.tool_states.len() {
@@ -323,13 +321,14 @@ impl World {
         }
     }
 
-    /// Force of all threads on an instrument in the last step [N].
+    /// Force of all threads and of its loop on an instrument in the last step [N].
     pub(super) fn force_of_threads_n(&self, tool: usize) -> DVec3 {
-        self.sutures.iter().map(|suture| suture.on_tools_n[tool]).sum()
+        let of_sutures: DVec3 = self.sutures.iter().map(|suture| suture.on_tools_n[tool]).sum();
+        of_sutures + self.loops.force_on_tool_n(tool)
     }
 
-    /// Whether an instrument holds a thread.
+    /// Whether an instrument holds a thread, or its loop pulls on tissue.
     pub(super) fn holds_thread(&self, tool: usize) -> bool {
-        self.sutures.iter().any(|suture| suture.is_held_by(tool))
+        self.sutures.iter().any(|suture| suture.is_held_by(tool)) || self.loops.pulls(tool)
     }
 }

@@ -8,17 +8,17 @@ use crate::contact::tool_contact::ToolContact;
 use crate::math::{DMat3, DVec3};
 use crate::mesh::NodeId;
 use crate::model::bounded_vec::BoundedVec;
-use crate::model::{LocalModel, NodalForce, StepAnswer};
+use crate::model::{NodalForce, StepAnswer};
 use crate::suture::{Bond, Surroundings, Tie, TieLaw};
 use crate::tool::pose::ToolFrame;
 use crate::tool::{MAX_TOOLS, Tool};
 use crate::world::World;
 use crate::world::grasp::pull_limit_n;
 use crate::world::organ::Organ;
-use crate::world::press::softer;
 use crate::world::slide::UNKNOWN_M_PER_N;
 use crate::world::spec::Hand;
 use crate::world::suture_spec::SutureSpec;
+use crate::world::tissue_patch::{PatchTissue, TissuePatch, add_force};
 use crate::world::tool_state::ToolState;
 
 /// Tissue is taken to be at least so soft [m/N]: what is fixed then holds a thread by a spring of 100 N/mm.
@@ -57,43 +57,18 @@ struct Held {
     own_m_per_n: f64,
 }
 
-/// What is kept of a node of the tissue that a thread touched, from one step to the next.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct TouchedNode {
-    pub(super) node: NodeId,
-    velocity_m_per_s: DVec3,
-    /// Where it was expected to go [m], and how far the change of the forces and the whole step to take it there.
-    expected_m: DVec3,
-    answer_m: DVec3,
-    way_m: DVec3,
-}
-
-impl TouchedNode {
-    pub(super) fn numbers(&self) -> impl Iterator<Item = f64> {
-        let vectors = [self.velocity_m_per_s, self.expected_m, self.answer_m, self.way_m];
-        std::iter::once(f64::from(self.node.0)).chain(vectors.into_iter().flat_map(|v| v.to_array()))
-    }
-}
-
 /// Room for a step.
 #[derive(Debug)]
 pub(super) struct Scratch {
     pub(super) walls: BoundedVec<Wall>,
     pub(super) near: Vec<ToolContact>,
     /// The tissue's nodes that the model is asked for.
-    patch: BoundedVec<NodeId>,
+    patch: TissuePatch,
     ties: BoundedVec<Tie>,
     held: BoundedVec<Held>,
     bonds: BoundedVec<Bond>,
-    /// Of the patch's nodes: where they go freely, by how much their forces change, and where that takes them.
-    free_m: Vec<DVec3>,
-    change_n: Vec<DVec3>,
-    /// Forces on them in the last step [N].
-    before_n: Vec<DVec3>,
-    moves_m: Vec<DVec3>,
-    /// How many places each one bears, by their weights.
+    /// How many places each of the patch's nodes bears, by their weights.
     borne: Vec<f64>,
-    tensors: Vec<DMat3>,
 }
 
 impl Clone for Scratch {
@@ -104,95 +79,26 @@ impl Clone for Scratch {
 }
 
 impl Scratch {
-    pub(super) const MOST_NODES: usize = LocalModel::MOST_NODES;
-
     /// For a thread of so many nodes.
     pub(super) fn for_nodes(n_nodes: usize) -> Self {
         let n_ties = MOST_PASSAGES + n_nodes + 2 * MAX_TOOLS;
-        let zeros = || vec![DVec3::ZERO; Self::MOST_NODES];
         Self {
             walls: BoundedVec::with_capacity(n_nodes),
             near: Vec::with_capacity(MOST_NEAR),
-            patch: BoundedVec::with_capacity(Self::MOST_NODES),
+            patch: TissuePatch::new(),
             ties: BoundedVec::with_capacity(n_ties),
             held: BoundedVec::with_capacity(n_ties),
             bonds: BoundedVec::with_capacity(super::MOST_CLIPS),
-            free_m: zeros(),
-            change_n: zeros(),
-            before_n: Vec::with_capacity(Self::MOST_NODES),
-            moves_m: zeros(),
-            borne: vec![0.0; Self::MOST_NODES],
-            tensors: Vec::with_capacity(Self::MOST_NODES * Self::MOST_NODES),
-        }
-    }
-
-    /// Puts nodes into the patch; answers whether there is room for all.
-    fn ask_for(&mut self, nodes: &[NodeId]) -> bool {
-        let n_new = nodes.iter().filter(|node| !self.patch.contains(node)).count();
-        if self.patch.len() + n_new > self.patch.capacity() {
-            return false;
-        }
-        for &node in nodes {
-            if !self.patch.contains(&node) {
-                self.patch.try_push(node);
-            }
-        }
-        true
-    }
-
-    fn places_of(&self, nodes: &[NodeId]) -> [usize; 4] {
-        let mut places = [0; 4];
-        for (place, node) in places.iter_mut().zip(nodes) {
-            *place = self.patch.iter().position(|n| n == node).unwrap_or(0);
-        }
-        places
-    }
-
-    /// How the patch answers, and where its nodes go if nothing about their forces changes.
-    fn learn(
-        &mut self,
-        local: &LocalModel,
-        organ: &Organ,
-        (velocity, softness): (&Velocities<'_>, f64),
-        dt_s: f64,
-    ) {
-        let n = self.patch.len();
-        self.tensors.clear();
-        for i in 0..n {
-            for j in 0..n {
-                let told = i < local.nodes.len() && j < local.nodes.len();
-                let is_free = !organ.is_fixed(self.patch[i]) && !organ.is_fixed(self.patch[j]);
-                let tensor =
-                    if told && is_free { local.tensor_m_per_n(i, j) * softness } else { DMat3::ZERO };
-                self.tensors.push(tensor);
-            }
-        }
-        for (j, &node) in self.patch.iter().enumerate() {
-            let kg_per_s = local.mass_kg.get(j).map_or(0.0, |mass_kg| mass_kg / dt_s);
-            self.change_n[j] = if velocity.goes_on { velocity.gained(node) * kg_per_s } else { DVec3::ZERO };
-        }
-        self.answer();
-        for i in 0..n {
-            let drift_m = local.drift_m.get(i).copied().unwrap_or(DVec3::ZERO);
-            self.free_m[i] = organ.positions_m()[self.patch[i].index()] + drift_m + self.moves_m[i];
-        }
-    }
-
-    /// Where the change of the forces takes the patch.
-    fn answer(&mut self) {
-        let n = self.patch.len();
-        for i in 0..n {
-            let row = self.tensors[n * i..n * (i + 1)].iter();
-            self.moves_m[i] = row.zip(&self.change_n[..n]).map(|(tensor, force_n)| *tensor * *force_n).sum();
+            borne: vec![0.0; TissuePatch::MOST_NODES],
         }
     }
 
     /// Whether a place inside moves in the model at all. One that knows of the surface alone holds a thread by the holes.
     fn yields(&self, (nodes, weights): (&[NodeId; 4], &[f64; 4]), organ: &Organ) -> bool {
-        let n = self.patch.len();
+        let patch = &self.patch;
         let knows = |node: &NodeId| {
-            let place = self.patch.iter().position(|known| known == node);
-            place.is_none_or(|place| self.tensors[(n + 1) * place] != DMat3::ZERO) || organ.is_fixed(*node)
+            let place = patch.place_of(*node);
+            place.is_none_or(|i| patch.tensor_m_per_n(i, i) != DMat3::ZERO) || organ.is_fixed(*node)
         };
         let known = nodes.iter().zip(weights).filter(|(node, _)| knows(node));
         known.map(|(_, weight)| weight).sum::<f64>() > 0.5
@@ -200,30 +106,17 @@ impl Scratch {
 
     /// How soft the patch is where all places pull together: at most so much for each of its nodes [m/N].
     fn softness_m_per_n(&self, place: usize) -> f64 {
-        let n = self.patch.len();
-        let row = &self.tensors[n * place..n * (place + 1)];
-        let most = |tensor: &DMat3| (0..3).map(|a| tensor.col(a)[a].abs()).fold(0.0, f64::max);
-        row.iter().zip(&self.borne[..n]).map(|(tensor, borne)| most(tensor) * borne).sum()
-    }
-}
-
-/// Velocities of the tissue's nodes now and before.
-struct Velocities<'a> {
-    /// Whether their last change goes on in a step: in a single explicit one.
-    goes_on: bool,
-    now_m_per_s: &'a [DVec3],
-    before: &'a [TouchedNode],
-}
-
-impl Velocities<'_> {
-    fn now(&self, node: NodeId) -> DVec3 {
-        self.now_m_per_s.get(node.index()).copied().unwrap_or(DVec3::ZERO)
+        let most = |tensor: DMat3| (0..3).map(|a| tensor.col(a)[a].abs()).fold(0.0, f64::max);
+        let borne = self.borne[..self.patch.nodes.len()].iter().enumerate();
+        borne.map(|(j, borne)| most(self.patch.tensor_m_per_n(place, j)) * borne).sum()
     }
 
-    /// By how much a node that was touched before is faster now [m/s].
-    fn gained(&self, node: NodeId) -> DVec3 {
-        let before = self.before.iter().find(|touched| touched.node == node);
-        before.map_or(DVec3::ZERO, |before| self.now(node) - before.velocity_m_per_s)
+    fn places_of(&self, nodes: &[NodeId]) -> [usize; 4] {
+        let mut places = [0; 4];
+        for (place, node) in places.iter_mut().zip(nodes) {
+            *place = self.patch.place_of(*node).unwrap_or(0);
+        }
+        places
     }
 }
 
@@ -243,17 +136,34 @@ impl Instruments<'_> {
 }
 
 impl World {
+    /// Asks the model how a patch answers in a step.
+    pub(in crate::world) fn ask_model(&mut self, patch: &TissuePatch) {
+        if patch.nodes.is_empty() {
+            return;
+        }
+        self.slide.drifting.set_telling_changes(false);
+        let (work, local) = (&mut self.slide.drifting, &mut self.slide.local);
+        self.model.local_model_into(&patch.nodes, self.spec.time_step_s, work, local);
+    }
+
+    /// What the patch that was asked for last is told.
+    pub(in crate::world) fn patch_tissue(&self) -> PatchTissue<'_> {
+        PatchTissue {
+            organ: &self.organ,
+            local: &self.slide.local,
+            velocities_m_per_s: self.model.state().velocities_m_per_s,
+            goes_on: self.model.step_answer() == StepAnswer::NodeByNode,
+            dt_s: self.spec.time_step_s,
+        }
+    }
+
     /// A step of one thread; instruments that hold it come after it.
     pub(super) fn settle_thread(&mut self, number: usize, suture: &mut Suture) {
         let dt_s = self.spec.time_step_s;
-        suture.learn_softness(self.organ.positions_m());
+        suture.memory.learn_softness(self.organ.positions_m());
         suture.find_walls(&self.organ, dt_s);
         suture.gather_patch(&self.organ);
-        if !suture.scratch.patch.is_empty() {
-            self.slide.drifting.set_telling_changes(false);
-            let (work, local) = (&mut self.slide.drifting, &mut self.slide.local);
-            self.model.local_model_into(&suture.scratch.patch, dt_s, work, local);
-        }
+        self.ask_model(&suture.scratch.patch);
         let state = self.model.state();
         let with = Instruments {
             tools: &self.spec.tools,
@@ -262,9 +172,7 @@ impl World {
             dt_s,
         };
         let spec = &self.spec.sutures[number];
-        let goes_on = self.model.step_answer() == StepAnswer::NodeByNode;
-        let velocity = Velocities { goes_on, now_m_per_s: state.velocities_m_per_s, before: &suture.touched };
-        suture.scratch.learn(&self.slide.local, &self.organ, (&velocity, suture.softness), dt_s);
+        suture.scratch.patch.learn(&self.patch_tissue(), &suture.memory);
         suture.gather_ties(&self.organ, &with);
         suture.come_to_terms(spec, &with, self.gravity_m_per_s2);
         suture.keep_forces(state.velocities_m_per_s, self.organ.positions_m());
@@ -281,39 +189,23 @@ impl World {
 }
 
 impl Suture {
-    /// After a step: whether the touched nodes, now at `positions_m`, are softer than they were taken to be, as in
-    /// [`crate::world::press`]: the model tells the answer of a small region, which is stiffer than the tissue.
-    fn learn_softness(&mut self, positions_m: &[DVec3]) {
-        let (mut further_m2, mut answered_m2) = (0.0, 0.0);
-        for touched in self.touched.iter() {
-            let Some(now_m) = positions_m.get(touched.node.index()) else { continue };
-            further_m2 += (*now_m - touched.expected_m).dot(touched.answer_m);
-            answered_m2 += touched.answer_m.length_squared() + touched.way_m.length_squared();
-        }
-        self.softness = if answered_m2 > 0.0 { softer(self.softness, further_m2 / answered_m2) } else { 1.0 };
-    }
-
     /// Nodes that the model is asked for: of all passages, then of what the thread lies on.
     fn gather_patch(&mut self, organ: &Organ) {
         let scratch = &mut *self.scratch;
-        scratch.patch.clear();
+        scratch.patch.nodes.clear();
         for passage in self.passages.iter() {
-            scratch.ask_for(&passage.site.nodes(organ.body()));
+            scratch.patch.ask_for(&passage.site.nodes(organ.body()));
         }
         for force in self.forces.iter() {
-            scratch.ask_for(&[force.node]);
+            scratch.patch.ask_for(&[force.node]);
         }
         for i in 0..scratch.walls.len() {
             let wall = scratch.walls[i];
             if wall.is_near {
-                scratch.walls[i].is_near = scratch.ask_for(&wall.nodes);
+                scratch.walls[i].is_near = scratch.patch.ask_for(&wall.nodes);
             }
         }
-        scratch.before_n.clear();
-        for node in scratch.patch.iter() {
-            let before = self.forces.binary_search_by_key(node, |force| force.node);
-            scratch.before_n.push(before.map_or(DVec3::ZERO, |place| self.forces[place].force_n));
-        }
+        scratch.patch.set_before(&self.forces);
     }
 
     fn gather_ties(&mut self, organ: &Organ, with: &Instruments<'_>) {
@@ -500,32 +392,33 @@ impl Suture {
     /// is another one when it has slid on.
     fn respond(&mut self, friction_coefficient: f64) {
         let scratch = &mut *self.scratch;
-        for (change_n, before_n) in scratch.change_n.iter_mut().zip(&scratch.before_n) {
+        let patch = &mut scratch.patch;
+        for (change_n, before_n) in patch.change_n.iter_mut().zip(&patch.before_n) {
             *change_n = -*before_n;
         }
         for (held, tie) in scratch.held.iter().zip(scratch.ties.iter_mut()) {
             let force_n = tie.force_before_n;
             match held.places {
                 Some(places) => {
-                    (0..held.n_nodes).for_each(|v| scratch.change_n[places[v]] += force_n * held.weights[v]);
+                    (0..held.n_nodes).for_each(|v| patch.change_n[places[v]] += force_n * held.weights[v]);
                 }
                 None if held.n_nodes > 0 => {
                     tie.place_m = held.free_m + (force_n - held.before_n) * held.own_m_per_n;
                     // What it pulls on may be known to others.
                     for v in 0..held.n_nodes {
-                        if let Some(place) = scratch.patch.iter().position(|node| *node == held.nodes[v]) {
-                            scratch.change_n[place] += force_n * held.weights[v];
+                        if let Some(place) = patch.place_of(held.nodes[v]) {
+                            patch.change_n[place] += force_n * held.weights[v];
                         }
                     }
                 }
                 None => {}
             }
         }
-        scratch.answer();
+        patch.answer();
         for (held, tie) in scratch.held.iter().zip(scratch.ties.iter_mut()) {
             if let Some(places) = held.places {
                 let moved_m: DVec3 =
-                    (0..held.n_nodes).map(|v| scratch.moves_m[places[v]] * held.weights[v]).sum();
+                    (0..held.n_nodes).map(|v| patch.moves_m[places[v]] * held.weights[v]).sum();
                 tie.place_m = held.free_m + moved_m;
             }
             if let TieLaw::Wall { normal, most_friction_n } = &mut tie.law {
@@ -555,30 +448,11 @@ impl Suture {
                 Holder::Grip { tool, .. } => self.on_tools_n[tool] += force_n,
             }
             for v in 0..held.n_nodes {
-                let share = NodalForce { node: held.nodes[v], force_n: force_n * held.weights[v] };
-                if share.force_n == DVec3::ZERO {
-                    continue;
-                }
-                match self.forces.binary_search_by_key(&share.node, |force| force.node) {
-                    Ok(place) => self.forces[place].force_n += share.force_n,
-                    Err(place) if self.forces.len() < self.forces.capacity() => {
-                        self.forces.insert(place, share);
-                    }
-                    Err(_) => {}
-                }
+                let force_n = force_n * held.weights[v];
+                add_force(&mut self.forces, NodalForce { node: held.nodes[v], force_n });
             }
         }
-        self.touched.clear();
-        for (i, &node) in self.scratch.patch.iter().enumerate() {
-            let expected_m = self.scratch.free_m[i] + self.scratch.moves_m[i];
-            self.touched.try_push(TouchedNode {
-                node,
-                velocity_m_per_s: velocities_m_per_s.get(node.index()).copied().unwrap_or(DVec3::ZERO),
-                expected_m,
-                answer_m: self.scratch.moves_m[i],
-                way_m: expected_m - positions_m[node.index()],
-            });
-        }
+        self.scratch.patch.keep(velocities_m_per_s, positions_m, &mut self.memory);
         self.let_slip_out();
     }
 
@@ -613,10 +487,10 @@ struct Place {
 /// Adds a place that tissue holds.
 fn add(scratch: &mut Scratch, holder: Holder, place: &Place, before_n: DVec3, organ: &Organ) {
     let Place { nodes, weights, n_nodes, .. } = *place;
-    let is_known = place.is_asked && nodes[..n_nodes].iter().all(|node| scratch.patch.contains(node));
+    let is_known = place.is_asked && nodes[..n_nodes].iter().all(|node| scratch.patch.nodes.contains(node));
     let places = is_known.then(|| scratch.places_of(&nodes[..n_nodes]));
     let node_m = |v: usize| {
-        let known = places.map(|places| scratch.free_m[places[v]]);
+        let known = places.map(|places| scratch.patch.free_m[places[v]]);
         known.unwrap_or(organ.positions_m()[nodes[v].index()])
     };
     let free_m = place.offset_m + (0..n_nodes).map(|v| node_m(v) * weights[v]).sum::<DVec3>();

@@ -44,11 +44,7 @@ impl Suture {
                 self.lies_n[node] = DVec3::ZERO;
                 continue;
             };
-            let point_m: DVec3 =
-                (0..3).map(|v| organ.positions_m()[first.nodes[v].index()] * first.found.weights[v]).sum();
-            let normal: DVec3 =
-                (0..3).map(|v| normal_at(organ, first.nodes[v]) * first.found.weights[v]).sum();
-            let normal = normal.normalize_or(organ.face_normal(first.nodes));
+            let (point_m, normal) = surface_at(organ, first.nodes, first.found.weights);
             let gap_m = (at_m - point_m).dot(normal) - radius_m;
             let is_near = gap_m < NEAR_M + way_m || self.lies_n[node] != DVec3::ZERO;
             self.scratch.walls.try_push(Wall {
@@ -60,6 +56,13 @@ impl Suture {
             });
         }
     }
+}
+
+/// A place of a triangle of the surface [m], and the normal there, which does not jump between triangles.
+pub(in crate::world) fn surface_at(organ: &Organ, nodes: [NodeId; 3], weights: [f64; 3]) -> (DVec3, DVec3) {
+    let point_m = (0..3).map(|v| organ.positions_m()[nodes[v].index()] * weights[v]).sum();
+    let normal: DVec3 = (0..3).map(|v| normal_at(organ, nodes[v]) * weights[v]).sum();
+    (point_m, normal.normalize_or(organ.face_normal(nodes)))
 }
 
 /// Normal of the surface at a node: the mean of its triangles' by their areas, so that it does not jump between them.

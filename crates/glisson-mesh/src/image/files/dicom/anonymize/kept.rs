@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use dicom_core::dictionary::{DataDictionary, DataDictionaryEntry, VirtualVr};
 use dicom_core::header::HasLength;
 use dicom_core::value::DataSetSequence;
 use dicom_core::{DataElement, PrimitiveValue, VR};
@@ -239,6 +240,11 @@ const LOSSY_METHODS: &[&str] =
 /// The beginning of the identifiers that the standard defines.
 const OF_THE_STANDARD: &str = "1.2.840.10008.";
 
+/// No volume has as many frames, stacks or times in one dimension.
+const MAX_INDEX: u32 = 1 << 16;
+/// Two spaces, the least number that two letters are.
+const TWO_LETTERS: u16 = 0x2020;
+
 /// A refusal that does not repeat what was found, which may be a name.
 pub(super) fn refuse(file: &Path, tag: Tag, found: &str, allowed: &str) -> ImageError {
     ImageError::Header {
@@ -251,7 +257,6 @@ pub(super) fn refuse(file: &Path, tag: Tag, found: &str, allowed: &str) -> Image
 }
 
 fn dictionary_name(tag: Tag) -> String {
-    use dicom_core::dictionary::{DataDictionary, DataDictionaryEntry};
     let entry = dicom_dictionary_std::StandardDataDictionary.by_tag(tag);
     entry.map_or_else(|| "(unknown)".into(), |entry| entry.alias().to_owned())
 }
@@ -377,18 +382,51 @@ fn numbers(file: &Path, element: &InMemElement) -> Result<Option<InMemElement>, 
             }
             PrimitiveValue::Strs(list.into())
         }
-        PrimitiveValue::Tags(_)
-        | PrimitiveValue::U16(_)
-        | PrimitiveValue::I16(_)
-        | PrimitiveValue::U32(_)
-        | PrimitiveValue::I32(_)
-        | PrimitiveValue::F32(_)
-        | PrimitiveValue::F64(_)
-            if [VR::AT, VR::US, VR::SS, VR::UL, VR::SL, VR::FL, VR::FD].contains(&vr) =>
-        {
-            value.clone()
-        }
+        binary if is_of_the_dictionary(tag, vr) && has_room_for_numbers_only(tag, binary) => value.clone(),
         _ => return Err(not_numbers()),
     };
     Ok(Some(DataElement::new(tag, vr, kept)))
+}
+
+/// Whether the standard gives an attribute a value representation.
+fn is_of_the_dictionary(tag: Tag, vr: VR) -> bool {
+    let entry = dicom_dictionary_std::StandardDataDictionary.by_tag(tag);
+    entry.is_some_and(|entry| match entry.vr() {
+        VirtualVr::Exact(known) => known == vr,
+        VirtualVr::Xs => [VR::US, VR::SS].contains(&vr),
+        _ => false,
+    })
+}
+
+/// Whether a tag is that of an attribute of the standard, and not of a group's length or of a manufacturer.
+fn is_of_an_attribute(tag: Tag) -> bool {
+    let entry = dicom_dictionary_std::StandardDataDictionary.by_tag(tag);
+    tag.group().is_multiple_of(2)
+        && tag.element() != 0
+        && entry.is_some_and(|entry| matches!(entry.vr(), VirtualVr::Exact(_)))
+}
+
+/// Whether binary numbers are as many as the attribute has, and such as it can have: where the length of an element is
+/// damaged, it takes in the elements behind it, and their text becomes numbers.
+fn has_room_for_numbers_only(tag: Tag, value: &PrimitiveValue) -> bool {
+    match (tag, value) {
+        (tags::FRAME_INCREMENT_POINTER, PrimitiveValue::Tags(list)) => {
+            list.iter().all(|&tag| is_of_an_attribute(tag))
+        }
+        // Three letters or four are a larger number, and so are two of a shorter one.
+        (tags::DIMENSION_INDEX_VALUES, PrimitiveValue::U32(list)) => list.iter().all(|&n| n < MAX_INDEX),
+        (tags::REFERENCED_SEGMENT_NUMBER, PrimitiveValue::U16(list)) => list.iter().all(|&n| n < TWO_LETTERS),
+        (tags::RECOMMENDED_DISPLAY_CIE_LAB_VALUE, PrimitiveValue::U16(list)) => list.len() <= 3,
+        (
+            _,
+            PrimitiveValue::Tags(_)
+            | PrimitiveValue::U16(_)
+            | PrimitiveValue::I16(_)
+            | PrimitiveValue::U32(_)
+            | PrimitiveValue::I32(_)
+            | PrimitiveValue::F32(_)
+            | PrimitiveValue::F64(_),
+        ) => value.multiplicity() == 1,
+        _ => false,
+    }
 }

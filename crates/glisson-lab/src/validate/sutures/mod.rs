@@ -1,6 +1,9 @@
 //! A stitch through the two sides of a groove in a block: two graspers pull its ends up until the groove is shut, clips tie it where
-//! it comes out, the graspers let go.
+//! it comes out, the graspers let go. And a ligating loop around a stump.
 
+mod ligating_loop;
+
+use self::ligating_loop::Ligature;
 use super::{Claim, Figure, Outcome, check_all, series};
 use crate::scratch::ScratchFolder;
 use glisson::math::DVec3;
@@ -141,6 +144,15 @@ struct Measured {
     explicit: Stitch,
     /// The groove left a little open.
     open: [Stitch; 2],
+    /// A loop around a stump, implicit and explicit.
+    loops: [Ligature; 2],
+}
+
+impl Measured {
+    /// The greater one of the two loops'.
+    fn of_loops(&self, of: impl Fn(&Ligature) -> f64) -> f64 {
+        self.loops.iter().map(of).fold(f64::MIN, f64::max)
+    }
 }
 
 const CLAIMS: &[Claim<'static, Measured>] = &[
@@ -187,12 +199,49 @@ const CLAIMS: &[Claim<'static, Measured>] = &[
         |m| m.implicit.tied_mm.max(m.explicit.tied_mm),
         1.0,
     ),
+    Claim::at_most(
+        "a loop closes a stump of 12 mm: its girth there over that at rest, implicit and explicit",
+        OWN,
+        |m| m.of_loops(|l| l.tied_mm / l.girth_at_rest_mm),
+        0.85,
+    ),
+    Claim::near(
+        "pull of the loop's thread in explicit over that in implicit",
+        OWN,
+        |m| m.loops[1].tension_n / m.loops[0].tension_n,
+        [1.0, 0.1],
+    ),
+    Claim::at_most(
+        "tied off and let go it stays: change of its girth in 1.5 s [%]",
+        OWN,
+        |m| m.of_loops(|l| 100.0 * (l.end_mm / l.tied_mm - 1.0).abs()),
+        3.0,
+    ),
+    Claim::at_most(
+        "the hand feels no more than twice the greatest pull of the thread of 2 N [N]",
+        OWN,
+        |m| m.of_loops(|l| l.most_felt_n),
+        4.0,
+    ),
+    Claim::at_most(
+        "at the end all rests, fastest node [mm/s]",
+        OWN,
+        |m| m.of_loops(|l| l.fastest_mm_per_s),
+        10.0,
+    ),
+    Claim::at_most(
+        "a vessel through the stump does not bleed when it is cut beyond the loop [ml/min]",
+        OWN,
+        |m| m.of_loops(|l| l.bleeding_ml_per_min),
+        0.0,
+    ),
 ];
 
 pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let both = |how| Ok::<_, anyhow::Error>([run("implicit", 5.0, how)?, run("explicit", 0.15, how)?]);
     let [implicit, explicit] = both((UP_M, true))?;
-    let measured = Measured { implicit, explicit, open: both((UP_OPEN_M, false))? };
+    let loops = [ligating_loop::run("implicit", 5.0)?, ligating_loop::run("explicit", 0.08)?];
+    let measured = Measured { implicit, explicit, open: both((UP_OPEN_M, false))?, loops };
     let plot = |title: &str, y: &str, of: fn(&Stitch) -> &Vec<[f64; 2]>| LinePlot {
         title: title.into(),
         x_label: "time [s]".into(),
@@ -214,6 +263,19 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
             1e3 * tension_n
         )?;
     }
+    notes.push_str(
+        "\n### A ligating loop\n\n| model | girth at rest [mm] | tied [mm] | pull [mN] | 1.5 s later [mm] | fastest node then [mm/s] |\n|---|---|---|---|---|---|\n",
+    );
+    let of_loops = || ["implicit, 5 ms", "explicit, 0.08 ms"].into_iter().zip(&measured.loops);
+    for (name, of_loop) in of_loops() {
+        let Ligature { girth_at_rest_mm, tied_mm, tension_n, end_mm, fastest_mm_per_s, .. } = of_loop;
+        writeln!(
+            notes,
+            "| {name} | {girth_at_rest_mm:.1} | {tied_mm:.1} | {:.0} | {end_mm:.1} | {fastest_mm_per_s:.1} |",
+            1e3 * tension_n
+        )?;
+    }
+    let girths = |(name, of_loop): (&str, &Ligature)| series(name, of_loop.girth.clone(), SeriesStyle::Line);
     let figures = vec![
         Figure {
             file: "sutures_groove.svg",
@@ -224,6 +286,17 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
             file: "sutures_tension.svg",
             caption: "Pull of the thread between the sides of the groove.".into(),
             plot: plot("The thread between its sides", "pull [mN]", |stitch| &stitch.tension),
+        },
+        Figure {
+            file: "sutures_loop.svg",
+            caption: "Length of a loop around a stump that was tied off at 0.9 s; the instrument leaves from 1 s on.".into(),
+            plot: LinePlot {
+                title: "A loop tied off".into(),
+                x_label: "time [s]".into(),
+                y_label: "girth [mm]".into(),
+                series: of_loops().map(girths).collect(),
+                size: [640, 400],
+            },
         },
     ];
     Ok(Outcome { experiments: check_all(CLAIMS, &measured), figures, notes })

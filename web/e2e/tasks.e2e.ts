@@ -89,6 +89,21 @@ path = [
 ]
 `;
 
+declare global {
+  interface Window {
+    stagesSeen: string[];
+  }
+}
+
+/** In the page, from before it is there: what its panel said of the task's stages, however late a test looks. */
+function gatherStages(): void {
+  window.stagesSeen = [];
+  new MutationObserver(() => {
+    const stage = document.querySelector("#task .stage")?.textContent ?? "";
+    if (window.stagesSeen.at(-1) !== stage) window.stagesSeen.push(stage);
+  }).observe(document, { childList: true, characterData: true, subtree: true });
+}
+
 /** Mean brightness, 0 to 255, around the middle of the endoscope's picture. */
 async function brightness(page: Page): Promise<number> {
   const [x, y] = await page.evaluate(() => {
@@ -209,19 +224,13 @@ describe.skipIf(program === undefined)("the tasks in the page", () => {
   it.each(shown)("$name is done by its demonstration", { timeout: 2 * LONGEST_MS }, async (task) => {
     const { url, stop } = await serve(task.name, out);
     try {
-      const { page, problems } = await openPage(browser);
+      const { page, problems } = await openPage(browser, async (page) => void (await page.addInitScript(gatherStages)));
       await page.goto(url);
       await waitForOrgan(page);
       const panel = page.locator("#task");
       await panel.locator("h2").filter({ hasText: task.title }).waitFor();
       const stage = panel.locator(".stage");
       const begin = Date.now();
-      // In the page, which misses nothing however late this test looks.
-      const seen = await stage.evaluateHandle((node) => {
-        const texts = [node.textContent];
-        new MutationObserver(() => texts.push(node.textContent)).observe(node, { childList: true, characterData: true, subtree: true });
-        return texts;
-      });
       const time_s = () => page.evaluate(() => window.glisson!.header!.time_s);
       const from_s = await time_s();
       while ((await stage.getAttribute("data-outcome")) === "") {
@@ -231,9 +240,9 @@ describe.skipIf(program === undefined)("the tasks in the page", () => {
       }
       const [simulated_s, took_s] = [(await time_s()) - from_s, (Date.now() - begin) / 1000];
       expect(await stage.textContent()).toBe("All stages are done.");
-      // The last stage at least was there to be read.
+      // The demonstration waits for the page: its last stage, at least, was there to be read.
       const last = task.stages[task.stages.length - 1];
-      expect((await seen.jsonValue()).some((text) => text?.endsWith(last))).toBe(true);
+      expect((await page.evaluate(() => window.stagesSeen)).some((text) => text.endsWith(last))).toBe(true);
       console.log(`${task.name}: ${simulated_s.toFixed(1)} s in ${took_s.toFixed(1)} s, ${(simulated_s / took_s).toFixed(2)} x real time`);
 
       const reported = page.context().waitForEvent("page");

@@ -85,7 +85,8 @@ enum Task {
     Metrics,
     /// The Python package: builds its module with the release program and runs its tests; `test` does it, too
     Python,
-    /// Environment steps a second of the Python package, beside MuJoCo's flex, which it installs. Not a part of the tests
+    /// Environment steps a second of the Python package, beside MuJoCo's flex and Newton's soft body, which it installs.
+    /// Not a part of the tests
     BenchPython {
         /// What else its script is asked (see crates/glisson-py/benches/environments.py)
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
@@ -101,7 +102,8 @@ enum Task {
     /// Make the Python package's wheel, and try it in a clean environment of each Python that is found (3.10 to 3.14)
     Wheel,
     /// Make the files of a release in target/release-files: licences of all that is linked, what the program is made of (CycloneDX), a
-    /// Debian package, the root of a container, the wheel, and their sums. It installs the cargo commands that it needs into target/tools
+    /// Debian package, the root of a container, the crates, each compiled from what it holds alone, the wheel, and their sums. It
+    /// installs the cargo commands that it needs into target/tools
     Release {
         /// The next version: writes it into the manifests, and what is unreleased in the changelog under it
         #[arg(required_unless_present = "dry_run")]
@@ -109,7 +111,7 @@ enum Task {
         /// Of the version that is there, and nothing is written into the tree
         #[arg(long, conflicts_with = "version")]
         dry_run: bool,
-        /// Without the wheel, for which everything is compiled again
+        /// Without the wheel and the check of the crates, for which everything is compiled again
         #[arg(long)]
         no_wheel: bool,
     },

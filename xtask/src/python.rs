@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// What the tests need beside the package.
-const PACKAGES: [&str; 7] = [
+const PACKAGES: [&str; 8] = [
     "numpy==2.2.6",
     "gymnasium==1.4.0",
     "pettingzoo==1.27.0",
@@ -15,9 +15,12 @@ const PACKAGES: [&str; 7] = [
     "mypy==2.4.1",
     "pyarrow==26.0.1",
     "ray==2.60.0",
+    "meshio==5.3.5",
 ];
 /// What learning needs beside it.
 const LEARNING: [&str; 3] = ["stable-baselines3==2.9.2", "torch==2.15.0", "gymnasium==1.4.0"];
+/// Newton, and what it runs on; like the package they are for Python 3.10 or later.
+const NEWTON: [&str; 2] = ["newton==1.8.0", "warp-lang==1.19.0"];
 const MATURIN: &str = "maturin==1.16.0";
 /// Where the package lies in the repository.
 const SOURCE: &str = "crates/glisson-py";
@@ -44,7 +47,7 @@ pub(crate) fn install() -> anyhow::Result<String> {
     let is_enough = ["-c", "import sys; sys.exit(sys.version_info < (3, 10))"];
     ensure!(run(&python, &is_enough).is_ok(), "the Python package is for Python 3.10 or later: install one");
     let packages = folder().join("packages");
-    if !packages.join("ray").exists() {
+    if !packages.join("meshio").exists() {
         pip_install(&python, &packages.to_string_lossy(), &PACKAGES)?;
     }
     Ok(python)
@@ -68,13 +71,15 @@ pub(crate) fn check(python: &str) -> anyhow::Result<()> {
 pub(crate) fn bench(arguments: &[String]) -> anyhow::Result<()> {
     let python = setup::require(&["python3", "python"], "python3", "measuring the Python package")?;
     let packages = folder().join("bench");
-    if !packages.join("mujoco").exists() {
+    if !["mujoco", "newton"].iter().all(|name| packages.join(name).exists()) {
         let mujoco = format!("mujoco-core=={}", crate::peers::MUJOCO);
-        pip_install(&python, &packages.to_string_lossy(), &[&PACKAGES[..], &[&mujoco]].concat())?;
+        let others = [&[mujoco.as_str()][..], &NEWTON[..]].concat();
+        pip_install(&python, &packages.to_string_lossy(), &[&PACKAGES[..], &others[..]].concat())?;
     }
     let script = root().join(SOURCE).join("benches/environments.py").to_string_lossy().into_owned();
-    let peer = root().join("xtask/peers/mujoco_flex.py").to_string_lossy().into_owned();
-    run_python(&python, &packages, &[&script, "--mujoco", &peer], arguments)
+    let [mujoco, newton] = ["mujoco_flex.py", "newton_soft_body.py"]
+        .map(|peer| root().join("xtask/peers").join(peer).to_string_lossy().into_owned());
+    run_python(&python, &packages, &[&script, "--mujoco", &mujoco, "--newton", &newton], arguments)
 }
 
 /// Learns an environment.

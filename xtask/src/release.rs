@@ -48,6 +48,7 @@ pub(crate) fn make(version: Option<&str>, wheel: bool) -> anyhow::Result<()> {
     let place = format!("{}/", out.display());
     let words = ["deb", "--package", "glisson-cli", "--no-build", "--strip", "--output", &place];
     run(&tool(&tools, "cargo-deb"), &words)?;
+    crates(&out, wheel)?;
     if wheel {
         python::wheel()?;
         for entry in fs::read_dir(root().join(target()).join("wheels"))? {
@@ -58,6 +59,30 @@ pub(crate) fn make(version: Option<&str>, wheel: bool) -> anyhow::Result<()> {
     let sums = sums(&out)?;
     fs::write(out.join("SHA256SUMS"), &sums)?;
     println!("\n{sums}\nin {}", out.display());
+    Ok(())
+}
+
+/// The crates as registries take them; with `checks` each is compiled from what it holds alone.
+fn crates(out: &Path, checks: bool) -> anyhow::Result<()> {
+    let all =
+        ["package", "--workspace", "--exclude", "xtask", "--exclude", "glisson-examples", "--allow-dirty"];
+    // Of other versions, and of what is not packaged.
+    let made = root().join(target()).join("package");
+    if made.exists() {
+        fs::remove_dir_all(&made).with_context(|| made.display().to_string())?;
+    }
+    let pages = root().join("web/dist/index.html");
+    ensure!(pages.exists(), "{} is missing: the crate of the pages would have none", pages.display());
+    let more: &[&str] = if checks { &[] } else { &["--no-verify"] };
+    run("cargo", &[&all[..], more].concat())?;
+    for entry in fs::read_dir(&made)? {
+        let file = entry?.path();
+        if file.extension().is_some_and(|ending| ending == "crate")
+            && let Some(name) = file.file_name()
+        {
+            fs::copy(&file, out.join(name))?;
+        }
+    }
     Ok(())
 }
 
@@ -227,7 +252,15 @@ fn with_version(manifest: &str, version: &str) -> anyhow::Result<String> {
     let current = &manifest[from..to];
     let known = numbers_of(current).with_context(|| format!("the version \"{current}\" of Cargo.toml"))?;
     ensure!(wanted > known, "version {version} is not later than {current}");
-    Ok(format!("{}{version}{}", &manifest[..from], &manifest[to..]))
+    let text = format!("{}{version}{}", &manifest[..from], &manifest[to..]);
+    // The crates name each other's version, too.
+    let (old, new) = (format!("version = \"{current}\""), format!("version = \"{version}\""));
+    let lines = text.split_inclusive('\n');
+    Ok(lines
+        .map(
+            |line| if line.contains("path = \"crates/") { line.replace(&old, &new) } else { line.to_owned() },
+        )
+        .collect())
 }
 
 /// The changelog whose unreleased changes are those of a version.
@@ -247,6 +280,13 @@ mod tests {
     fn a_release_has_a_later_version() {
         let manifest = "[workspace]\n[workspace.package]\nversion = \"0.1.9\"\nedition = \"2024\"\n";
         assert_eq!(with_version(manifest, "0.1.10").unwrap(), manifest.replace("0.1.9", "0.1.10"));
+        let with_crates =
+            format!("{manifest}a = {{ path = \"crates/a\", version = \"0.1.9\" }}\nb = \"0.1.9\"\n");
+        let later = with_version(&with_crates, "0.2.0").unwrap();
+        assert!(
+            later.ends_with("a = { path = \"crates/a\", version = \"0.2.0\" }\nb = \"0.1.9\"\n"),
+            "{later}"
+        );
         for wrong in ["0.1.9", "0.0.10", "1.0", "v0.2.0"] {
             assert!(with_version(manifest, wrong).is_err(), "{wrong}");
         }

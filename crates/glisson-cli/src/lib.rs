@@ -7,6 +7,7 @@ mod commands;
 
 use clap::Parser;
 use std::ffi::OsString;
+use std::path::Path;
 
 /// Does what a command line asks for (its first word is the program's name), tells on the standard streams what came of it, and answers
 /// with the exit code: 0 done, 1 the work failed (bad input, a check that does not hold), 2 the command line is wrong, 3 the simulation
@@ -28,6 +29,14 @@ pub fn run_program<T: Into<OsString> + Clone>(words: impl IntoIterator<Item = T>
             if is_broken { 3 } else { 1 }
         }
     }
+}
+
+/// A recorded session as a page that plays it, with the scene's files in `folder`: what `glisson export SESSION --html` writes.
+///
+/// # Errors
+/// A session that cannot be read, or whose replay does not make the bits of the recording; a program that was built without its pages.
+pub fn replay_page(session: &Path, folder: &Path) -> anyhow::Result<String> {
+    commands::export::page_of(session, folder)
 }
 
 /// Ends the process quietly when whoever reads its output stops reading (`glisson check ... | head`): printing then panics.

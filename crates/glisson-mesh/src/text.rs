@@ -16,6 +16,11 @@ pub fn did_you_mean(found: &str, allowed: &[&str]) -> String {
     closest_name(found, allowed).map(|name| format!("; did you mean \"{name}\"?")).unwrap_or_default()
 }
 
+/// A text as an attribute of XML takes it.
+pub fn escaped_xml(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,7 +1,8 @@
 """Environment steps a second: each environment at about 500, 2,000 and 6,300 tetrahedra, with random actions and in demonstrations.
 
 `cargo xtask bench-python`. With --mujoco SCRIPT (xtask/peers/mujoco_flex.py) MuJoCo's flex is measured on the same meshes, pulled at its
-free edge, in steps of 2 ms: so many control steps of 50 ms it would make.
+free edge, in steps of 2 ms: so many control steps of 50 ms it would make. With --newton SCRIPT (xtask/peers/newton_soft_body.py)
+Newton's soft body is measured in the same way.
 """
 
 from __future__ import annotations
@@ -30,6 +31,10 @@ N_ENVS = (32, 16, 8)
 #: Lengths of edges that are tried for a size [m].
 EDGES_M = np.geomspace(0.0012, 0.012, 60)
 PICTURES = (128, 128)
+#: `tissue = "liver"`: crates/glisson-tissue/src/material/tissues.rs.
+YOUNG_PA, POISSON = 4100.0, 0.45
+#: On the free edge of the other simulators' flaps, along them [N].
+PULL_N = 0.05
 
 
 def n_tetrahedra(scene: glisson.Scene) -> int:
@@ -107,22 +112,43 @@ def pictures(threads: int, seconds: float) -> float:
     return n * 16 / took_s
 
 
-def mujoco(script: str, scene: glisson.Scene, seconds: float) -> float:
-    """Control steps of 50 ms a second and core of MuJoCo's flex on the mesh of a scene."""
+def held_and_loaded(positions_m: Any) -> tuple[Any, Any]:
+    """Nodes of a flap that are fixed, and those of its free edge."""
+    z_m = positions_m[:, 2]
+    return np.flatnonzero(z_m < z_m.min() + 1e-4), np.flatnonzero(z_m > z_m.max() - 1e-4)
+
+
+def peer(script: str, how: str, scene: glisson.Scene, seconds: float) -> list[float]:
+    """What a script of xtask/peers answers of the mesh of a scene, in steps of 2 ms; the first is the time of one [ms]."""
     with glisson.World(scene) as world:
         positions_m, tetrahedra = world.rest_positions_m, world.tetrahedra
-    z_m = positions_m[:, 2]
-    held, loaded = np.flatnonzero(z_m < z_m.min() + 1e-4), np.flatnonzero(z_m > z_m.max() - 1e-4)
-    # `tissue = "liver"`: crates/glisson-tissue/src/material/tissues.rs.
-    head = [len(positions_m), len(tetrahedra), len(held), len(loaded), 1, 4100.0, 0.45, 1060.0, 0.01]
-    parts = [head, positions_m.ravel(), tetrahedra.ravel(), held, loaded, np.full(len(loaded), 0.05 / len(loaded))]
+    held, loaded = held_and_loaded(positions_m)
+    head = [len(positions_m), len(tetrahedra), len(held), len(loaded), 1, YOUNG_PA, POISSON, 1060.0, 0.01]
+    parts = [head, positions_m.ravel(), tetrahedra.ravel(), held, loaded, np.full(len(loaded), PULL_N / len(loaded))]
     with tempfile.TemporaryDirectory() as folder:
         file = pathlib.Path(folder) / "body.txt"
         file.write_text(" ".join(" ".join(str(number) for number in part) for part in parts))
-        command = [sys.executable, script, "discrete", str(file), "0.002", str(seconds)]
+        command = [sys.executable, script, how, str(file), "0.002", str(seconds)]
         # It leaves a log where it runs.
         answer = subprocess.run(command, capture_output=True, text=True, check=True, cwd=folder)
-    return 1e3 / (25.0 * float(answer.stdout.split()[0]))
+    return [float(word) for word in answer.stdout.splitlines()[-1].split()]
+
+
+def control_steps(step_ms: float) -> float:
+    """Control steps of 50 ms a second, where one of 2 ms takes so long."""
+    return 1e3 / (25.0 * step_ms)
+
+
+def pulled_mm(scene: glisson.Scene) -> float:
+    """How far the free edge of a flap is pulled in balance, after Glisson's static solver."""
+    with glisson.World(scene) as world:
+        positions_m, tetrahedra = world.rest_positions_m, world.tetrahedra
+    held, loaded = held_and_loaded(positions_m)
+    prescribed_m, forces_n = np.full(positions_m.shape, np.nan), np.zeros(positions_m.shape)
+    prescribed_m[held], forces_n[loaded, 2] = 0.0, PULL_N / len(loaded)
+    mesh = glisson.Mesh(positions_m, tetrahedra)
+    solution = glisson.solve(mesh, YOUNG_PA, POISSON, prescribed_m, forces_n, law="stable_neo_hooke")
+    return 1e3 * float(solution.displacement_m[loaded, 2].mean())
 
 
 def main() -> None:
@@ -132,6 +158,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=[name for name in glisson.envs.TASKS if name != "TaskFile"])
     parser.add_argument("--sizes", nargs="*", type=int, default=list(SIZES))
     parser.add_argument("--mujoco", metavar="SCRIPT")
+    parser.add_argument("--newton", metavar="SCRIPT")
     parser.add_argument("--memory", nargs="*", metavar="NAME", help="instead: memory over 10,000 resets of these, with a plot")
     parser.add_argument("--out", type=pathlib.Path, default=pathlib.Path("out/bench-python"), help="folder for the plots")
     chosen = parser.parse_args()
@@ -169,9 +196,25 @@ def main() -> None:
         result["mujoco"] = []
         for size in chosen.sizes:
             options, n = options_for("TissueRetraction", size)
-            of_core = mujoco(chosen.mujoco, make("TissueRetraction", **options).task.scenes()[0], chosen.seconds)
+            scene = make("TissueRetraction", **options).task.scenes()[0]
+            of_core = control_steps(peer(chosen.mujoco, "discrete", scene, chosen.seconds)[0])
             result["mujoco"].append({"tetrahedra": n, "steps_per_core": of_core})
             print(f"MuJoCo's flex of {n} tetrahedra, steps of 2 ms: {of_core:.1f} such steps a second and core", flush=True)
+    if chosen.newton:
+        result["newton"] = []
+        for size in chosen.sizes:
+            options, n = options_for("TissueRetraction", size)
+            scene = make("TissueRetraction", **options).task.scenes()[0]
+            step_ms, _, _, _, edge_mm, n_substeps, is_sound = peer(chosen.newton, "semi_implicit", scene, chosen.seconds)
+            row = {"tetrahedra": n, "steps_per_core": control_steps(step_ms), "solver": "SolverSemiImplicit", "substeps": int(n_substeps)}
+            row |= {"is_sound": bool(is_sound), "edge_mm": edge_mm, "balance_mm": pulled_mm(scene)}
+            result["newton"].append(row)
+            print(
+                f"Newton's soft body of {n} tetrahedra, steps of 2 ms: {row['steps_per_core']:.1f} such steps a second and core "
+                f"({row['solver']}, explicit: {row['substeps']} substeps without iterations; {'finite' if is_sound else 'NOT FINITE'}, "
+                f"edge pulled by {edge_mm:.2f} mm in the mean, in balance {row['balance_mm']:.2f} mm)",
+                flush=True,
+            )
     if chosen.json:
         chosen.json.write_text(json.dumps(result, indent=2) + "\n")
 

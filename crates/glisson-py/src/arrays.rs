@@ -5,8 +5,11 @@ use glisson::math::DVec3;
 use glisson::tool::ToolInput;
 use glisson_view::film::view::FilmView;
 use numpy::ndarray::{Array, ArrayViewD, Dimension, ShapeBuilder};
-use numpy::{Element, IntoPyArray, PyArray, PyArray2, PyArrayMethods, PyReadonlyArrayDyn};
-use pyo3::exceptions::PyValueError;
+use numpy::{
+    AllowTypeChange, Element, IntoPyArray, PyArray, PyArray2, PyArrayDescrMethods, PyArrayLikeDyn,
+    PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods,
+};
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
 /// Numbers of a pose: tip (3), shaft towards the handle (3), roll, jaws, trigger.
@@ -52,6 +55,67 @@ pub(crate) fn picture_kind(view: &str, width: usize, height: usize) -> PyResult<
 /// x, y, z of each.
 pub(crate) fn flat(vectors: impl IntoIterator<Item = DVec3>) -> Vec<f64> {
     vectors.into_iter().flat_map(|v| v.to_array()).collect()
+}
+
+/// Points (points, 3) that a caller gave as `name`; finite.
+pub(crate) fn points_of(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Vec<DVec3>> {
+    let array: PyArrayLikeDyn<'_, f64, AllowTypeChange> = given.extract()?;
+    let view = array.as_array();
+    if view.ndim() != 2 || view.shape()[1] != 3 {
+        return Err(PyValueError::new_err(format!(
+            "{name} has the shape {:?}; (points, 3) is expected, in m",
+            view.shape()
+        )));
+    }
+    let points: Vec<DVec3> = view.rows().into_iter().map(|row| DVec3::new(row[0], row[1], row[2])).collect();
+    match points.iter().position(|point| !point.is_finite()) {
+        Some(bad) => {
+            Err(PyValueError::new_err(format!("{name}[{bad}] is {}: it is not finite", points[bad])))
+        }
+        None => Ok(points),
+    }
+}
+
+/// Rows (rows, `N`) of numbers of nodes that a caller gave as `name`; there are `n_nodes`.
+pub(crate) fn rows_of<const N: usize>(
+    name: &str,
+    given: &Bound<'_, PyAny>,
+    n_nodes: usize,
+) -> PyResult<Vec<[u32; N]>> {
+    let array = array_of_kind(given, b"ui")?.ok_or_else(|| {
+        PyTypeError::new_err(format!("{name} are numbers of nodes: an array of whole numbers"))
+    })?;
+    let array: PyArrayLikeDyn<'_, i64, AllowTypeChange> = array.as_any().extract()?;
+    let view = array.as_array();
+    if view.ndim() != 2 || view.shape()[1] != N {
+        return Err(PyValueError::new_err(format!(
+            "{name} has the shape {:?}; (n, {N}) is expected",
+            view.shape()
+        )));
+    }
+    let node = |&number: &i64| u32::try_from(number).ok().filter(|&node| (node as usize) < n_nodes);
+    let all: Option<Vec<u32>> = view.iter().map(node).collect();
+    let all = all.ok_or_else(|| {
+        let bad = view.iter().find(|number| node(number).is_none()).copied().unwrap_or_default();
+        PyValueError::new_err(format!("{name} name node {bad}; there are {n_nodes}, counted from 0"))
+    })?;
+    Ok(all.as_chunks().0.to_vec())
+}
+
+/// What was given as an array of numbers of one of these kinds, as numpy names them; `None` where it is of another kind.
+pub(crate) fn array_of_kind<'py>(
+    given: &Bound<'py, PyAny>,
+    kinds: &[u8],
+) -> PyResult<Option<Bound<'py, PyUntypedArray>>> {
+    let array =
+        given.py().import("numpy")?.call_method1("asarray", (given,))?.cast_into::<PyUntypedArray>()?;
+    let is_empty = array.len() == 0;
+    Ok((is_empty || kinds.contains(&array.dtype().kind())).then_some(array))
+}
+
+/// What a JSON text says, as Python has it.
+pub(crate) fn from_json(py: Python<'_>, text: &str) -> PyResult<Py<PyAny>> {
+    Ok(py.import("json")?.call_method1("loads", (text,))?.unbind())
 }
 
 /// A pose as numbers.

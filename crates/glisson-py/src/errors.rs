@@ -20,9 +20,21 @@ create_exception!(
     "Something that a world cannot do now, or a world that cannot go on."
 );
 
+create_exception!(
+    glisson,
+    MeshError,
+    PyValueError,
+    "An image, a surface or a mesh that cannot be read, made or solved; the message says where and what to do."
+);
+
 /// A scene that cannot be read or built.
 pub(crate) fn of_scene(error: &anyhow::Error) -> PyErr {
     SceneError::new_err(format!("{error:#}"))
+}
+
+/// An image, a surface or a mesh that is not what is needed.
+pub(crate) fn of_shape(error: &anyhow::Error) -> PyErr {
+    MeshError::new_err(format!("{error:#}"))
 }
 
 /// Something that a world cannot do.

@@ -18,6 +18,8 @@ pub(crate) struct Runner {
     pub(crate) simulation: Simulation,
     /// Where the hands are; those beyond the last instrument do not count.
     hands: [ToolInput; MAX_TOOLS],
+    /// How often it came back to an earlier moment.
+    n_returns: u64,
     /// What is inside, as it was asked for last.
     inside: Option<Inside>,
     /// Its skin, and the version of the surface that it is of.
@@ -43,12 +45,17 @@ impl Runner {
     }
 
     fn of(simulation: Simulation, hands: [ToolInput; MAX_TOOLS]) -> Self {
-        Self { simulation, hands, inside: None, skin: None, cameras: Vec::new() }
+        Self { simulation, hands, n_returns: 0, inside: None, skin: None, cameras: Vec::new() }
     }
 
     /// Another one of the same scene, which begins at a saved moment.
     pub(crate) fn another_at(&self, saved: &Saved) -> Self {
         Self::of(self.simulation.another_at(&saved.simulation), saved.hands)
+    }
+
+    /// How often it came back to an earlier moment.
+    pub(crate) fn n_returns(&self) -> u64 {
+        self.n_returns
     }
 
     pub(crate) fn world(&self) -> &World {
@@ -130,6 +137,7 @@ impl Runner {
             camera.look_again(self.simulation.world());
         }
         self.hands = saved.hands;
+        self.n_returns += 1;
         Ok(())
     }
 
@@ -143,6 +151,12 @@ impl Runner {
     pub(crate) fn picture(&mut self, kind: PictureKind) -> anyhow::Result<Vec<u8>> {
         let (camera, world) = self.camera(kind)?;
         Ok(camera.picture(world)?.into_rgb())
+    }
+
+    /// The same as PNG.
+    pub(crate) fn png(&mut self, kind: PictureKind) -> anyhow::Result<Vec<u8>> {
+        let (camera, world) = self.camera(kind)?;
+        camera.picture(world)?.png()
     }
 
     /// Depth and kind of what is seen at each pixel, row by row.

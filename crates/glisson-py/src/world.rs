@@ -1,15 +1,17 @@
 //! One world.
 
-use crate::arrays::{POSE_LENGTH, flat, gathered, numbers_of, picture_kind, poses_of, read_only};
+use crate::arrays::{POSE_LENGTH, flat, from_json, gathered, numbers_of, picture_kind, poses_of, read_only};
 use crate::errors::{SimulationError, guarded, of_scene, of_simulation, try_lock};
 use crate::runner::{Runner, Saved, blood_lost_m3};
 use crate::scene::PyScene;
+use glisson::math::DVec3;
 use glisson::mesh::TetId;
 use glisson::record::inside::Field;
 use glisson::record::snapshot::ContactPoints;
 use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArrayDyn};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
@@ -33,8 +35,13 @@ pub(crate) struct PySaved {
 }
 
 impl PyWorld {
+    /// How many instruments it has.
+    pub(crate) fn n_tools(&self) -> usize {
+        self.scene.get().parsed().world.tools.len()
+    }
+
     /// Does something with the world, without the GIL.
-    fn with<T: Send>(
+    pub(crate) fn with<T: Send>(
         &self,
         py: Python<'_>,
         act: impl FnOnce(&mut Runner) -> anyhow::Result<T> + Send,
@@ -76,7 +83,7 @@ impl PyWorld {
 
     fn json(&self, py: Python<'_>, text: Option<String>) -> PyResult<Py<PyAny>> {
         match text {
-            Some(text) => Ok(py.import("json")?.call_method1("loads", (text,))?.unbind()),
+            Some(text) => from_json(py, &text),
             None => Ok(py.None()),
         }
     }
@@ -114,7 +121,7 @@ impl PyWorld {
     /// tip (3), shaft from the tip towards the handle (3), roll, jaws (0 closed to 1 open), trigger (0 to 1). Without `poses` they stay.
     #[pyo3(signature = (n = 1, poses = None))]
     fn step(&self, py: Python<'_>, n: u32, poses: Option<PyReadonlyArrayDyn<'_, f64>>) -> PyResult<()> {
-        let n_tools = self.scene.get().parsed().world.tools.len();
+        let n_tools = self.n_tools();
         let wanted = poses.map(|poses| poses_of(&poses, (None, n_tools))).transpose()?;
         self.with(py, |runner| runner.step(n, wanted.as_ref().map(|poses| &poses[0][..])))
     }
@@ -195,6 +202,32 @@ impl PyWorld {
     /// Takes the last cut back, if there is one that can be.
     fn undo(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |runner| runner.simulation.undo_edit())
+    }
+
+    /// Takes out what an instrument's tip touches; where it touches nothing `notices` tells so.
+    fn cut(&self, py: Python<'_>, tool: usize) -> PyResult<()> {
+        self.with(py, |runner| {
+            number_of_tool(tool, runner)?;
+            runner.simulation.cut_at_tip(tool)
+        })
+    }
+
+    /// Makes the mesh finer around an instrument's tip, within two of the edges there, until they are half as long; where that cannot be
+    /// `notices` tells why.
+    fn refine(&self, py: Python<'_>, tool: usize) -> PyResult<()> {
+        self.with(py, |runner| {
+            number_of_tool(tool, runner)?;
+            runner.simulation.refine_around(tool)
+        })
+    }
+
+    /// The table is tilted: gravity from now on [m/s2], patient frame.
+    fn set_gravity(&self, py: Python<'_>, gravity_m_per_s2: [f64; 3]) -> PyResult<()> {
+        let gravity = DVec3::from_array(gravity_m_per_s2);
+        if !gravity.is_finite() {
+            return Err(PyValueError::new_err(format!("gravity is {gravity_m_per_s2:?}: it is not finite")));
+        }
+        self.with(py, |runner| runner.simulation.set_gravity(gravity))
     }
 
     /// An instrument sets a clip on the vessel nearest to its tip.
@@ -342,6 +375,13 @@ impl PyWorld {
         let kind = picture_kind(view, width, height)?;
         let rgb = self.with(py, |runner| runner.picture(kind))?;
         gathered(py, (height, width, 3), rgb)
+    }
+
+    /// A notebook shows a world as a picture from outside.
+    fn _repr_png_<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let kind = picture_kind("outside", 640, 480)?;
+        let png = self.with(py, |runner| runner.png(kind))?;
+        Ok(PyBytes::new(py, &png))
     }
 
     /// What a picture shows at the middle of each pixel: how deep along the view [m], 0 where there is nothing, (height, width); and what

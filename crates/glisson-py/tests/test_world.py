@@ -137,6 +137,28 @@ def test_arrays_are_copies_that_nobody_writes_to(scene):
     np.testing.assert_array_equal(before, kept)
 
 
+def test_a_tip_cuts_what_it_touches_makes_the_mesh_finer_and_the_table_is_tilted(scene):
+    world = glisson.World(scene)
+    world.cut(0)
+    assert any("nothing was cut" in notice for notice in world.notices), "it touches nothing yet"
+    world.step(60, pressed(world))
+    n, sag = len(world.tetrahedra), world.positions_m.copy()
+    world.refine(0)
+    assert len(world.tetrahedra) > n
+    n = len(world.tetrahedra)
+    world.cut(0)
+    assert len(world.tetrahedra) < n and world.removed_volume_m3 > 0
+    tilted = glisson.World(scene)
+    tilted.set_gravity([50.0, 0.0, 0.0])
+    tilted.step(100)
+    assert (tilted.positions_m - tilted.rest_positions_m)[:, 0].max() > 1e-4 and sag.shape[1] == 3
+    with pytest.raises(ValueError, match="not finite"):
+        tilted.set_gravity([0.0, float("nan"), 0.0])
+    for edit in (world.cut, world.refine, world.clip):
+        with pytest.raises(glisson.SimulationError, match="no instrument 7"):
+            edit(7)
+
+
 def test_cuts_change_the_topology_and_are_taken_back(scene):
     world = glisson.World(scene)
     saved, start = world.save(), world.hash()

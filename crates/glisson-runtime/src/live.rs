@@ -4,8 +4,7 @@ use crate::display::DisplayFeed;
 use crate::effort::{EffortControl, Load};
 use crate::elsewhere::NearbyMaker;
 use crate::haptic_loop::{DeviceStatus, PublishedModel, ToolLink};
-use crate::pace::Pace;
-use crate::pace::{FRAME, StepMeters, StepTimes};
+use crate::pace::{FRAME, Pace, PaceMeter, StepMeters, StepTimes};
 use crate::published::{Lateness, Published};
 use crate::realtime::now_ns;
 use crate::simulation::{Broken, Simulation, Turn, panic_text};
@@ -74,6 +73,8 @@ pub enum Command {
     },
     /// Something is to be kept in the session.
     Note(Note),
+    /// A viewer came, who looks from now on.
+    Viewed,
     /// The program ends.
     Stop,
 }
@@ -145,37 +146,6 @@ pub(crate) fn approach(now: ToolInput, target: ToolInput, dt_s: f64) -> ToolInpu
     }
 }
 
-/// Measures pace over about half a second.
-struct PaceMeter {
-    since: Instant,
-    steps: u64,
-    busy: Duration,
-    pace: Pace,
-}
-
-impl PaceMeter {
-    /// Steps that took so long; answers how the last half second went when it is over.
-    fn count(&mut self, steps: u64, busy: Duration, dt_s: f64) -> Option<Load> {
-        self.steps += steps;
-        self.busy += busy;
-        let elapsed_s = self.since.elapsed().as_secs_f64();
-        if elapsed_s < 0.5 {
-            return None;
-        }
-        self.pace.rate_hz = self.steps as f64 / elapsed_s;
-        self.pace.real_time_factor = self.pace.rate_hz * dt_s;
-        let busy_share = self.busy.as_secs_f64() / elapsed_s;
-        self.restart();
-        Some(Load { real_time_factor: self.pace.real_time_factor, busy_share })
-    }
-
-    fn restart(&mut self) {
-        self.since = Instant::now();
-        self.steps = 0;
-        self.busy = Duration::ZERO;
-    }
-}
-
 struct Live {
     simulation: Simulation,
     tools: Vec<ToolInput>,
@@ -203,12 +173,6 @@ impl Live {
     /// Simulated time of a step, which may be turned.
     fn step(&self) -> Duration {
         Duration::from_secs_f64(self.dt_s)
-    }
-
-    fn refuse_tool(&mut self, tool: usize) {
-        let n_tools = self.tools.len();
-        self.simulation
-            .tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
     }
 
     /// Where the devices have their instruments, and what the user should know about them.
@@ -328,7 +292,7 @@ impl Live {
                     *target = pose;
                     self.simulation.take_from_script(tool);
                 }
-                None => self.refuse_tool(tool),
+                None => self.simulation.refuse_tool(tool),
             },
             Command::Pause(paused) => {
                 self.paused = paused;
@@ -354,7 +318,7 @@ impl Live {
                 self.simulation.cut_at_tip(tool)?;
                 return Ok(true);
             }
-            Command::Cut { tool } => self.refuse_tool(tool),
+            Command::Cut { tool } => self.simulation.refuse_tool(tool),
             Command::Clip { tool } => {
                 self.simulation.clip_vessel(tool)?;
                 return Ok(true);
@@ -380,6 +344,7 @@ impl Live {
                 self.simulation.note(note);
                 return Ok(true);
             }
+            Command::Viewed => self.simulation.show_begins(),
             Command::Stop => {}
         }
         Ok(false)
@@ -389,7 +354,8 @@ impl Live {
 /// What is shown of a simulation: where it goes, and what it begins with.
 pub struct Shown {
     feed: DisplayFeed,
-    first: Published,
+    /// What displays were told last.
+    latest: Arc<Published>,
 }
 
 impl Shown {
@@ -401,8 +367,35 @@ impl Shown {
         let budget = Duration::from_secs_f64(simulation.world().spec().time_step_s);
         let meters = Arc::new(StepMeters::within(budget));
         let first = Published::first(simulation, &meters);
-        let (feed, published) = DisplayFeed::start(first.clone()).context("starting the display's thread")?;
-        Ok((Self { feed, first }, published))
+        let latest = Arc::new(first.clone());
+        let (feed, published) = DisplayFeed::start(first).context("starting the display's thread")?;
+        Ok((Self { feed, latest }, published))
+    }
+
+    /// Shows that it broke: what was shown last stays, for nobody knows what is left of the world.
+    pub(crate) fn show_broken(&mut self, simulation: &Simulation, pace: Pace) {
+        let last = Arc::make_mut(&mut self.latest);
+        last.notices = simulation.notices().to_vec();
+        last.n_notices = simulation.n_notices();
+        last.is_broken = true;
+        last.pace = Pace { paused: true, ..pace };
+        self.feed.publish(Arc::clone(&self.latest));
+    }
+
+    /// Whether somebody looks at what was not gathered for the last state.
+    pub(crate) fn lacks_what_is_watched(&self) -> bool {
+        self.latest.lacks_what_is_watched()
+    }
+
+    /// The simulation came back to an earlier moment.
+    pub(crate) fn went_back(&mut self) {
+        Arc::make_mut(&mut self.latest).count_versions_on();
+    }
+
+    /// Shows it as it is now.
+    pub(crate) fn show(&mut self, simulation: &Simulation, pace: Pace, lateness: Lateness) {
+        self.latest = Arc::new(self.latest.next(simulation, pace, lateness));
+        self.feed.publish(Arc::clone(&self.latest));
     }
 }
 
@@ -439,9 +432,7 @@ pub fn run(
 /// The simulation against the clock.
 struct Timed<'a> {
     live: Live,
-    feed: DisplayFeed,
-    /// What displays were told last.
-    latest: Arc<Published>,
+    shown: Shown,
     meters: Arc<StepMeters>,
     pace: PaceMeter,
     control: EffortControl,
@@ -458,12 +449,7 @@ struct Timed<'a> {
 }
 
 impl<'a> Timed<'a> {
-    fn start(
-        simulation: Simulation,
-        Shown { feed, first }: Shown,
-        links: Vec<ToolLink>,
-        stalls: Option<&'a Stalls>,
-    ) -> Self {
+    fn start(simulation: Simulation, shown: Shown, links: Vec<ToolLink>, stalls: Option<&'a Stalls>) -> Self {
         let dt_s = simulation.world().spec().time_step_s;
         // Those of a session that goes on are where they were.
         let world = simulation.world();
@@ -485,10 +471,9 @@ impl<'a> Timed<'a> {
         let now = Instant::now();
         Self {
             live,
-            feed,
-            meters: Arc::clone(&first.meters),
-            latest: Arc::new(first),
-            pace: PaceMeter { since: now, steps: 0, busy: Duration::ZERO, pace: Pace::default() },
+            meters: Arc::clone(&shown.latest.meters),
+            shown,
+            pace: PaceMeter::new(now),
             control: EffortControl::default(),
             lateness: Lateness::default(),
             simulated_until: now,
@@ -524,13 +509,7 @@ impl<'a> Timed<'a> {
         match done {
             Err(error) if error.is::<Broken>() => {
                 self.live.paused = true;
-                let simulation = &self.live.simulation;
-                let last = Arc::make_mut(&mut self.latest);
-                last.notices = simulation.notices().to_vec();
-                last.n_notices = simulation.n_notices();
-                last.is_broken = true;
-                last.pace = Pace { paused: true, ..self.pace.pace };
-                self.feed.publish(Arc::clone(&self.latest));
+                self.shown.show_broken(&self.live.simulation, self.pace.pace);
                 Ok(())
             }
             done => done,
@@ -591,7 +570,7 @@ impl<'a> Timed<'a> {
 
     /// Publishes the state where a frame is due or a command changed something.
     fn show(&mut self) -> anyhow::Result<()> {
-        let lacks = self.live.paused && self.latest.lacks_what_is_watched();
+        let lacks = self.live.paused && self.shown.lacks_what_is_watched();
         let wants_refresh = std::mem::take(&mut self.wants_refresh) || lacks;
         if !wants_refresh && (self.live.paused || Instant::now() < self.next_frame) {
             return Ok(());
@@ -599,8 +578,7 @@ impl<'a> Timed<'a> {
         self.next_frame = Instant::now() + FRAME;
         let slow_motion = Some(self.live.speed).filter(|speed| *speed < 1.0);
         let pace = Pace { paused: self.live.paused, slow_motion, ..self.pace.pace };
-        self.latest = Arc::new(self.latest.next(&self.live.simulation, pace, self.lateness));
-        self.feed.publish(Arc::clone(&self.latest));
+        self.shown.show(&self.live.simulation, pace, self.lateness);
         // A pause is no interval of a display.
         let shown = Instant::now();
         if let Some(before) = self.last_shown.replace(shown).filter(|_| !self.live.paused) {
@@ -621,8 +599,8 @@ impl<'a> Timed<'a> {
     }
 
     fn end(mut self) -> anyhow::Result<Ended> {
-        if let Some(last) = self.latest.with_task_broken_off(&self.live.simulation) {
-            self.feed.publish(Arc::new(last));
+        if let Some(last) = self.shown.latest.with_task_broken_off(&self.live.simulation) {
+            self.shown.feed.publish(Arc::new(last));
         }
         let steps = self.live.simulation.world().steps_made();
         let state_hash = self.live.simulation.finish()?;

@@ -1,8 +1,9 @@
 //! How the simulation and what it publishes for displays keep their time, against their budgets.
 
+use crate::effort::Load;
 use crate::histogram::{Histogram, Percentiles};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Time between two published states: a little under a display's frame.
 pub(crate) const FRAME: Duration = Duration::from_millis(16);
@@ -18,6 +19,42 @@ pub struct Pace {
     pub paused: bool,
     /// Simulated time over wall time that was asked for; none for real time.
     pub slow_motion: Option<f64>,
+}
+
+/// Measures pace over about half a second.
+pub(crate) struct PaceMeter {
+    since: Instant,
+    steps: u64,
+    busy: Duration,
+    /// As it was measured last.
+    pub(crate) pace: Pace,
+}
+
+impl PaceMeter {
+    pub(crate) fn new(now: Instant) -> Self {
+        Self { since: now, steps: 0, busy: Duration::ZERO, pace: Pace::default() }
+    }
+
+    /// Steps that took so long; answers how the last half second went when it is over.
+    pub(crate) fn count(&mut self, steps: u64, busy: Duration, dt_s: f64) -> Option<Load> {
+        self.steps += steps;
+        self.busy += busy;
+        let elapsed_s = self.since.elapsed().as_secs_f64();
+        if elapsed_s < 0.5 {
+            return None;
+        }
+        self.pace.rate_hz = self.steps as f64 / elapsed_s;
+        self.pace.real_time_factor = self.pace.rate_hz * dt_s;
+        let busy_share = self.busy.as_secs_f64() / elapsed_s;
+        self.restart();
+        Some(Load { real_time_factor: self.pace.real_time_factor, busy_share })
+    }
+
+    pub(crate) fn restart(&mut self) {
+        self.since = Instant::now();
+        self.steps = 0;
+        self.busy = Duration::ZERO;
+    }
 }
 
 /// What the simulation's thread counts; any thread may look.

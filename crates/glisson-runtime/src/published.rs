@@ -47,6 +47,8 @@ pub struct Published {
     pub effort: LevelOfDetail,
     /// How long steps take, up to now and not only up to this state.
     pub meters: Arc<StepMeters>,
+    /// What is added to the world's own versions of its surface.
+    pub versions_from: u32,
     /// Who looks at contact points, now and not only at this state.
     pub contact_watchers: Arc<Watchers>,
     /// Who looks at the inside of bodies.
@@ -83,10 +85,11 @@ impl Published {
     /// The state now, after this one. What still holds is shared.
     pub(crate) fn next(&self, simulation: &Simulation, pace: Pace, lateness: Lateness) -> Self {
         let world = simulation.world();
-        let topology = if world.organ().topology_version() == self.topology.version {
+        let version = world.organ().topology_version() + self.versions_from;
+        let topology = if version == self.topology.version {
             Arc::clone(&self.topology)
         } else {
-            Arc::new(world.display_topology())
+            Arc::new(DisplayTopology { version, ..world.display_topology() })
         };
         let watched = Watched {
             contacts: Arc::clone(&self.contact_watchers),
@@ -98,7 +101,16 @@ impl Published {
         let task_record = task_record.or_else(|| record_of_finished(simulation));
         let is_same = next.parameters == self.parameters;
         let parameters = Arc::clone(if is_same { &self.parameters } else { &next.parameters });
-        Self { pace, lateness, task_record, parameters, ..next }
+        let snapshot = Snapshot { topology_version: version, ..next.snapshot };
+        let versions_from = self.versions_from;
+        Self { snapshot, versions_from, pace, lateness, task_record, parameters, ..next }
+    }
+
+    /// The world came back to an earlier moment, from which it counts the versions of its surface again: those that are shown go on.
+    pub(crate) fn count_versions_on(&mut self) {
+        self.versions_from = self.topology.version + 1;
+        self.inside = None;
+        self.task_record = None;
     }
 
     fn of(
@@ -132,6 +144,7 @@ impl Published {
             lateness: Lateness::default(),
             effort: world.effort(),
             meters: Arc::clone(meters),
+            versions_from: 0,
             contact_watchers: watched.contacts,
             inside_watchers: watched.inside,
         }

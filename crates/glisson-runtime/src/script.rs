@@ -30,10 +30,12 @@ impl Clip {
     }
 }
 
-/// An operation. What it does depends on the world alone, and not on a clock.
+/// An operation. What it does depends on the world alone, and not on a clock; but for when it begins.
 pub trait Script: Send {
     /// The next step, asked once for each; none when it is over.
     fn lead(&mut self, world: &World) -> Option<Lead>;
+    /// Somebody looks from now on: one that is to be seen from its beginning waits for this.
+    fn show_begins(&mut self) {}
     /// What a clip that it asked for did.
     fn see(&mut self, clip: &Clip);
     /// Share of it that is done, 0 to 1.
@@ -47,23 +49,54 @@ pub fn bleeding_ml_per_min(world: &World) -> f64 {
     world.vessels().map_or(0.0, |vessels| 60e6 * vessels.bleeding_m3_per_s())
 }
 
+/// A page shows the organ so long after it came before the instruments move, at least [s]: a choice.
+const SEEN_AT_REST_S: f64 = 2.0;
+
 /// Leads the instruments along the paths of their scene, with the clips that are set on the way.
 pub struct PathScript {
     scene: Scene,
-    /// Step of the paths that comes next, their last, and steps to wait before the first.
+    /// Step of the paths that comes next, and their last.
     step: u64,
     last_step: u64,
-    n_waiting: u64,
+    before: Before,
+}
+
+/// What a path script does before its first step: its instruments are at home.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Before {
+    /// Nobody looks yet; steps that were made up to now.
+    WaitsForViewer { n_made: u64 },
+    /// Steps to wait.
+    Waits { n_left: u64 },
+}
+
+impl Before {
+    /// Whether the next step is one of waiting; asked once for each.
+    fn waits(&mut self) -> bool {
+        match self {
+            Self::WaitsForViewer { n_made } => {
+                *n_made += 1;
+                true
+            }
+            Self::Waits { n_left } => {
+                let waits = *n_left > 0;
+                *n_left = n_left.saturating_sub(1);
+                waits
+            }
+        }
+    }
 }
 
 impl PathScript {
-    /// After `waits_s` of simulated time at home, or where bodies breathe after the whole breaths that are as long or longer, so
-    /// that the paths meet them as without waiting; none where the scene has no paths.
-    pub fn new(scene: Scene, waits_s: f64) -> Option<Self> {
-        let time_step_s = scene.world.time_step_s;
-        let waits_s = breath_s(&scene).map_or(waits_s, |breath_s| (waits_s / breath_s).ceil() * breath_s);
-        let last_step = (scene.end_of_paths_s()? / time_step_s).ceil() as u64;
-        Some(Self { scene, step: 0, last_step, n_waiting: (waits_s / time_step_s).round() as u64 })
+    /// Begins with the first step; none where the scene has no paths.
+    pub fn new(scene: Scene) -> Option<Self> {
+        let last_step = (scene.end_of_paths_s()? / scene.world.time_step_s).ceil() as u64;
+        Some(Self { scene, step: 0, last_step, before: Before::Waits { n_left: 0 } })
+    }
+
+    /// Begins a moment after somebody looks; where bodies breathe after whole breaths, so that the paths meet them as without waiting.
+    pub fn for_viewers(scene: Scene) -> Option<Self> {
+        Some(Self { before: Before::WaitsForViewer { n_made: 0 }, ..Self::new(scene)? })
     }
 }
 
@@ -81,8 +114,7 @@ fn breath_s(scene: &Scene) -> Option<f64> {
 impl Script for PathScript {
     fn lead(&mut self, _: &World) -> Option<Lead> {
         let time_step_s = self.scene.world.time_step_s;
-        if self.n_waiting > 0 {
-            self.n_waiting -= 1;
+        if self.before.waits() {
             return Some(Lead { tools: self.scene.input_at(0.0).tools, clips: Vec::new() });
         }
         if self.step == self.last_step {
@@ -92,6 +124,17 @@ impl Script for PathScript {
         self.step += 1;
         let clips = self.scene.clips_between(from_s, to_s).collect();
         Some(Lead { tools: self.scene.input_at(to_s).tools, clips })
+    }
+
+    fn show_begins(&mut self) {
+        let Before::WaitsForViewer { n_made } = self.before else { return };
+        let time_step_s = self.scene.world.time_step_s;
+        let mut from_start_s = n_made as f64 * time_step_s + SEEN_AT_REST_S;
+        if let Some(breath_s) = breath_s(&self.scene) {
+            from_start_s = (from_start_s / breath_s).ceil() * breath_s;
+        }
+        let n_left = ((from_start_s / time_step_s).round() as u64).saturating_sub(n_made);
+        self.before = Before::Waits { n_left };
     }
 
     fn see(&mut self, _: &Clip) {}
@@ -110,14 +153,40 @@ mod tests {
     use super::*;
     use crate::tasks::task_named;
 
+    fn script_of(task: &str) -> PathScript {
+        PathScript::for_viewers(Scene::parse(task_named(task).unwrap()).unwrap()).unwrap()
+    }
+
+    /// Steps that a script waits after the `n_alone` that it has made before somebody comes.
+    fn n_waited(script: &mut PathScript, n_alone: u64) -> u64 {
+        for _ in 0..n_alone {
+            assert!(script.before.waits());
+        }
+        script.show_begins();
+        let mut n = 0;
+        while script.before.waits() {
+            n += 1;
+            // Who comes later changes nothing.
+            script.show_begins();
+        }
+        n
+    }
+
+    #[test]
+    fn paths_begin_a_moment_after_somebody_looks() {
+        let mut script = script_of("cholecystectomy");
+        let time_step_s = script.scene.world.time_step_s;
+        assert!((n_waited(&mut script, 5000) as f64 * time_step_s - SEEN_AT_REST_S).abs() < 1e-9);
+    }
+
     #[test]
     fn paths_of_scenes_that_breathe_begin_with_a_breath() {
-        let waits_s = |task: &str| {
-            let scene = Scene::parse(task_named(task).unwrap()).unwrap();
-            let time_step_s = scene.world.time_step_s;
-            PathScript::new(scene, 3.0).unwrap().n_waiting as f64 * time_step_s
-        };
-        assert!((waits_s("breathing_liver") - 4.0).abs() < 1e-9);
-        assert!((waits_s("cholecystectomy") - 3.0).abs() < 1e-9);
+        for n_alone in [1, 1900, 2001] {
+            let mut script = script_of("breathing_liver");
+            let (time_step_s, n) = (script.scene.world.time_step_s, n_waited(&mut script, n_alone));
+            let breaths = (n_alone + n) as f64 * time_step_s / 4.0;
+            assert!((breaths - breaths.round()).abs() < 1e-9, "{breaths}");
+            assert!(n as f64 * time_step_s >= SEEN_AT_REST_S - 1e-9);
+        }
     }
 }

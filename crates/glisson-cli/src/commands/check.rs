@@ -4,15 +4,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use glisson::files::write_atomically;
-use glisson::mesh::faults::{ImportPolicy, ImportReport, SharedTriangle};
+use glisson::mesh::TetMesh;
+use glisson::mesh::checked::{MeshCheck, SurfaceCheck};
+use glisson::mesh::faults::{ImportPolicy, ImportReport};
 use glisson::mesh::files::{format_of_extension, read_mesh_with};
 use glisson::mesh::quality::{
-    DIHEDRAL_BIN_DEG, MeshQuality, RADIUS_RATIO_BINS, SurfaceShape, dihedral_angles_deg, radius_ratios,
-    surface_triangles,
+    DIHEDRAL_BIN_DEG, MeshQuality, RADIUS_RATIO_BINS, dihedral_angles_deg, radius_ratios,
 };
-use glisson::mesh::{TetId, TetMesh};
 use glisson::surface::TriMesh;
-use glisson::surface::check::{SurfaceTopology, check_closed};
 use glisson::surface::files::{read_surface_with, surface_extensions};
 use glisson::units::LengthUnit;
 
@@ -65,83 +64,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     }
 }
 
-/// What `--json` prints of a tetrahedral mesh.
-#[derive(serde::Serialize)]
-struct MeshAnswer {
-    kind: &'static str,
-    #[serde(flatten)]
-    quality: MeshQuality,
-    faults: FaultIndices,
-}
-
-/// Everything wrong, by index from 0 in the order of the file.
-#[derive(serde::Serialize)]
-struct FaultIndices {
-    /// Node, and the first one at its place.
-    duplicate_nodes: Vec<[u32; 2]>,
-    loose_nodes: Vec<u32>,
-    tetrahedra_with_repeated_nodes: Vec<u32>,
-    /// Tetrahedron, and the first one with its nodes.
-    repeated_tetrahedra: Vec<[u32; 2]>,
-    inverted_tetrahedra: Vec<u32>,
-    flat_tetrahedra: Vec<u32>,
-    crowded_triangles: Vec<[u32; 3]>,
-    folded_triangles: Vec<[u32; 3]>,
-    surface_edges_not_between_two_triangles: Vec<[u32; 2]>,
-    nodes_where_the_surface_touches_itself: Vec<u32>,
-}
-
-impl FaultIndices {
-    fn new(import: &ImportReport, shape: &SurfaceShape) -> Self {
-        let faults = &import.faults;
-        let tets = |list: &[TetId]| list.iter().map(|t| t.0).collect::<Vec<_>>();
-        let triangles = |list: &[SharedTriangle]| list.iter().map(|s| s.nodes.map(|n| n.0)).collect();
-        let mut inverted_tetrahedra = tets(&import.winding_fixed);
-        inverted_tetrahedra.extend(tets(&faults.inverted));
-        inverted_tetrahedra.sort_unstable();
-        Self {
-            duplicate_nodes: faults.duplicate_nodes.iter().map(|(node, first)| [node.0, first.0]).collect(),
-            loose_nodes: faults.loose_nodes.iter().map(|n| n.0).collect(),
-            tetrahedra_with_repeated_nodes: tets(&faults.repeated_nodes),
-            repeated_tetrahedra: faults.repeated_tets.iter().map(|(t, first)| [t.0, first.0]).collect(),
-            inverted_tetrahedra,
-            flat_tetrahedra: tets(&faults.flat),
-            crowded_triangles: triangles(&faults.crowded_triangles),
-            folded_triangles: triangles(&faults.folded_triangles),
-            surface_edges_not_between_two_triangles: edges_not_between_two(shape),
-            nodes_where_the_surface_touches_itself: shape.pinched_vertices.clone(),
-        }
-    }
-}
-
-fn edges_not_between_two(shape: &SurfaceShape) -> Vec<[u32; 2]> {
-    shape.pinched_edges.iter().chain(&shape.open_edges).copied().collect()
-}
-
-/// What `--json` prints of a surface.
-#[derive(serde::Serialize)]
-struct SurfaceAnswer {
-    kind: &'static str,
-    nodes: usize,
-    triangles: usize,
-    volume_m3: f64,
-    surface_area_m2: Option<f64>,
-    surface_euler_characteristic: i64,
-    surface_pieces: usize,
-    faults: Vec<String>,
-}
-
 fn check_mesh(args: &Args, mesh: &TetMesh, import: &ImportReport) -> anyhow::Result<()> {
-    let (triangles, _) = surface_triangles(mesh);
-    let shape = SurfaceShape::of(mesh.positions_m.len(), &triangles);
-    let faults = mesh_faults(import, &shape);
-    let quality = MeshQuality::of(mesh);
-    warn_of_unit(&args.file, quality.volume_m3, args.unit);
+    let (checked, faults) = MeshCheck::of(mesh, import);
+    warn_of_unit(&args.file, checked.quality.volume_m3, args.unit);
     if args.json {
-        let answer = MeshAnswer { kind: "tetrahedra", quality, faults: FaultIndices::new(import, &shape) };
-        println!("{}", serde_json::to_string_pretty(&answer)?);
+        println!("{}", serde_json::to_string_pretty(&checked)?);
     } else {
-        print_quality(&quality);
+        print_quality(&checked.quality);
         for (kind, count) in &import.skipped_cells {
             println!("passed over   {count} cells: {kind}");
         }
@@ -152,37 +81,15 @@ fn check_mesh(args: &Args, mesh: &TetMesh, import: &ImportReport) -> anyhow::Res
     conclude(args, &faults)
 }
 
-/// Faults of the mesh's parts and of its surface, a line for each kind.
-fn mesh_faults(import: &ImportReport, shape: &SurfaceShape) -> Vec<String> {
-    let mut faults = import.faults.lines();
-    faults.extend(listed(&import.winding_fixed, "tetrahedra inside out in the file (volume below 0)"));
-    let edges: Vec<String> =
-        edges_not_between_two(shape).iter().map(|[a, b]| format!("({a}, {b})")).collect();
-    faults.extend(listed(&edges, "surface edges that are not between two triangles"));
-    faults.extend(listed(&shape.pinched_vertices, "nodes at which the surface touches itself"));
-    faults
-}
-
-fn listed<T: std::fmt::Display>(items: &[T], what: &str) -> Option<String> {
-    const N_NAMED: usize = 8;
-    let names: Vec<String> = items.iter().take(N_NAMED).map(ToString::to_string).collect();
-    let more = match items.len().saturating_sub(N_NAMED) {
-        0 => String::new(),
-        more => format!(" and {more} more"),
-    };
-    (!items.is_empty()).then(|| format!("{} {what}: {}{more}", items.len(), names.join(", ")))
-}
-
 fn check_surface(args: &Args, surface: &TriMesh) -> anyhow::Result<()> {
     ensure!(args.svg.is_none(), "{}: --svg draws tetrahedra, this is a surface", args.file.display());
-    let checked = check_closed(surface);
-    if let Ok(topology) = &checked {
+    let (checked, topology) = SurfaceCheck::of(surface);
+    if let Some(topology) = &topology {
         warn_of_unit(&args.file, topology.volume_m3, args.unit);
     }
-    let faults: Vec<String> = checked.as_ref().err().map(ToString::to_string).into_iter().collect();
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&surface_answer(surface, checked.ok(), &faults))?);
-    } else if let Ok(topology) = &checked {
+        println!("{}", serde_json::to_string_pretty(&checked)?);
+    } else if let Some(topology) = &topology {
         println!("vertices      {}", topology.n_vertices);
         println!("triangles     {}", topology.n_triangles);
         println!("volume        {:.3} ml", 1e6 * topology.volume_m3);
@@ -190,21 +97,7 @@ fn check_surface(args: &Args, surface: &TriMesh) -> anyhow::Result<()> {
         println!("pieces        {}", topology.n_pieces);
         println!("Euler number  {}", topology.euler_characteristic);
     }
-    conclude(args, &faults)
-}
-
-fn surface_answer(surface: &TriMesh, topology: Option<SurfaceTopology>, faults: &[String]) -> SurfaceAnswer {
-    let shape = SurfaceShape::of(surface.positions_m.len(), &surface.triangles);
-    SurfaceAnswer {
-        kind: "surface",
-        nodes: surface.positions_m.len(),
-        triangles: surface.triangles.len(),
-        volume_m3: surface.volume_m3(),
-        surface_area_m2: topology.map(|t| t.area_m2),
-        surface_euler_characteristic: shape.euler_characteristic,
-        surface_pieces: shape.pieces,
-        faults: faults.to_vec(),
-    }
+    conclude(args, &checked.faults)
 }
 
 fn conclude(args: &Args, faults: &[String]) -> anyhow::Result<()> {

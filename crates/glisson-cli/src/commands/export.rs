@@ -2,7 +2,9 @@
 
 mod page;
 mod film;
+mod moments;
 
+pub(crate) use page::page_of;
 pub(super) use page::{require_page, write_page};
 
 use super::replay::{Source, same_bits};
@@ -11,18 +13,22 @@ use glisson::progress::tell;
 use glisson::record::session::{Session, SessionEvent};
 use glisson_runtime::Simulation;
 use glisson_runtime::replay::{self, ReplayReport};
+use moments::Moments;
 use std::path::{Path, PathBuf};
 
-/// Write a recorded session as one HTML file that plays in a browser, without a server and without a network, or as a film.
+/// Write a recorded session as one HTML file that plays in a browser, without a server and without a network, as a film, or for other
+/// programs.
 ///
 /// The session is replayed, and refused when the replay does not make the bits of the recording (docs/replay.md).
 #[derive(Debug, clap::Args)]
 #[command(
-    group = clap::ArgGroup::new("what").args(["html", "mp4"]).required(true),
+    group = clap::ArgGroup::new("what").args(["html", "mp4", "pvd", "usda"]).required(true),
     after_help = "Examples:\n  glisson export out/tasks/palpation.jsonl --html palpation.html\n  \
     glisson export session.jsonl --html session.html --rate 60 --precision-mm 0.01\n  \
     glisson export mine.jsonl --beside experts.jsonl --html both.html\n  \
-    glisson export out/tasks/palpation.jsonl --mp4 palpation.mp4 --view endoscope --from 2 --to 8"
+    glisson export out/tasks/palpation.jsonl --mp4 palpation.mp4 --view endoscope --from 2 --to 8\n  \
+    glisson export session.jsonl --pvd session.pvd --rate 10         for ParaView: stress, strain, displacement at each moment\n  \
+    glisson export session.jsonl --usda session.usda                 for Blender, Omniverse and others"
 )]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -33,6 +39,12 @@ pub(crate) struct Args {
     /// The film to write; ffmpeg encodes it
     #[arg(long, value_name = "FILE")]
     mp4: Option<PathBuf>,
+    /// The list of moments to write, for ParaView, PyVista and meshio; their files go to a folder beside it
+    #[arg(long, value_name = "FILE")]
+    pvd: Option<PathBuf>,
+    /// The USD scene to write, as text
+    #[arg(long, value_name = "FILE")]
+    usda: Option<PathBuf>,
     #[command(flatten)]
     page: page::PageOptions,
     #[command(flatten)]
@@ -40,10 +52,17 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    match (&args.html, &args.mp4) {
-        (Some(html), _) => page::export(&args.source, html, &args.page),
-        (None, Some(mp4)) => film::export(&args.source, mp4, &args.film),
-        (None, None) => Err(anyhow!("nothing to write; give --html or --mp4")),
+    let moments = || Moments { rate_hz: f64::from(args.page.rate), span_s: args.film.span_s() };
+    if let Some(html) = &args.html {
+        page::export(&args.source, html, &args.page)
+    } else if let Some(mp4) = &args.mp4 {
+        film::export(&args.source, mp4, &args.film)
+    } else if let Some(pvd) = &args.pvd {
+        moments::export_pvd(&args.source, pvd, moments())
+    } else if let Some(usda) = &args.usda {
+        moments::export_usda(&args.source, usda, moments())
+    } else {
+        Err(anyhow!("nothing to write; give --html, --mp4, --pvd or --usda"))
     }
 }
 

@@ -9,9 +9,6 @@ use glisson::image::labels::{LabelError, LabelSelection, Parts};
 use glisson::surface::files::FileKind;
 use glisson::units::{LengthUnit, likely_unit};
 
-/// Organ that is taken when no label is named.
-const DEFAULT_LABEL: &str = "liver";
-
 /// Whether a path is an image to `glisson mesh`, and no surface.
 pub(crate) fn is_image(path: &Path) -> bool {
     path.is_dir() || (FileKind::of_path(path).is_err() && format_of_file(path).is_some())
@@ -57,15 +54,8 @@ impl LabelChoice {
 
     /// The labels meant: those asked for; without any the liver, or the only label there is.
     pub(crate) fn select(&self, map: &LabelMap) -> Result<LabelSelection, LabelError> {
-        let label = match &self.label {
-            Some(label) => label.clone(),
-            None if map.names.iter().any(|(_, name)| name == DEFAULT_LABEL) => DEFAULT_LABEL.into(),
-            None => match map.present()[..] {
-                [only] => only.to_string(),
-                _ => DEFAULT_LABEL.into(),
-            },
-        };
-        map.select(&label, if self.without_parts { Parts::Excluded } else { Parts::Included })
+        let parts = if self.without_parts { Parts::Excluded } else { Parts::Included };
+        map.select_or_usual(self.label.as_deref(), parts)
     }
 }
 

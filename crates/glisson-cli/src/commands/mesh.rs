@@ -6,7 +6,9 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail, ensure};
 use glisson::image::labels::{mask_volume_m3, sides_at_border};
 use glisson::mesh::files::{MeshFormat, extensions_of, write_mesh};
-use glisson::mesh::generate::{MAX_TETRAHEDRA, MIN_TETRAHEDRA, MeshParams, MeshPlan, MeshReport, WantedSize};
+use glisson::mesh::generate::{
+    MAX_TETRAHEDRA, MIN_TETRAHEDRA, MeshParams, MeshPlan, MeshReport, USUAL_TETRAHEDRA, WantedSize,
+};
 use glisson::mesh::thin::ThinKind;
 use glisson::surface::TriMesh;
 use glisson::surface::extract::{SurfaceParams, surface_of_mask};
@@ -18,9 +20,6 @@ use glisson::units::LengthUnit;
 use super::image_input::{LabelChoice, is_image, read_with_notes, warn_of_unit};
 use super::output::{check_extension, make_folder_of};
 use super::repair::{How, print_report as print_repair, repaired};
-
-/// Number of tetrahedra when neither a number nor a size is given.
-const DEFAULT_TETRAHEDRA: usize = 6_300;
 
 /// Turn a label map or a closed surface into a tetrahedral mesh.
 ///
@@ -89,7 +88,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
     let size = match args.element_size_mm {
         Some(size_mm) => WantedSize::EdgeM(1e-3 * size_mm),
-        None => WantedSize::Tetrahedra(args.tetrahedra.unwrap_or(DEFAULT_TETRAHEDRA)),
+        None => WantedSize::Tetrahedra(args.tetrahedra.unwrap_or(USUAL_TETRAHEDRA)),
     };
     let params = MeshParams { size, volume_m3: Some(source.volume_m3) };
     let in_input = || args.input.display().to_string();

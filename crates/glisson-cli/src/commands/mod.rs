@@ -26,7 +26,7 @@ mod watch;
 mod device_page;
 mod devices;
 mod replay;
-mod export;
+pub(crate) mod export;
 mod results_text;
 mod results;
 mod task_keeping;

@@ -98,7 +98,7 @@ impl Opener {
             Choice::Task { name, demonstrate, variant } => {
                 let source = task::open(name, variant, self.n_threads)?;
                 let script = if *demonstrate {
-                    let paths = PathScript::new(source.scene.clone(), task::DEMONSTRATION_WAITS_S);
+                    let paths = PathScript::for_viewers(source.scene.clone());
                     Some(paths.context("the task has no demonstration")?)
                 } else {
                     None

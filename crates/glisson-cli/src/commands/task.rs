@@ -68,9 +68,6 @@ impl Chosen {
     }
 }
 
-/// A demonstration in the browser begins so late that one sees its beginning [s]: a choice.
-pub(super) const DEMONSTRATION_WAITS_S: f64 = 3.0;
-
 #[derive(Debug, clap::Args)]
 struct Run {
     /// A name of `glisson task list`, or a scene file with a [task]
@@ -242,8 +239,9 @@ fn do_task(args: &Run) -> anyhow::Result<()> {
     let source = open(&args.task, &args.choice.choice(), usize::from(args.threads))?;
     let mut script = None;
     if args.headless || args.demonstrate {
-        let waits_s = if args.headless { 0.0 } else { DEMONSTRATION_WAITS_S };
-        let paths = PathScript::new(source.scene.clone(), waits_s);
+        // One sees the beginning of a demonstration in the browser.
+        let paths_of = if args.headless { PathScript::new } else { PathScript::for_viewers };
+        let paths = paths_of(source.scene.clone());
         let none = "the task has no demonstration: its instruments have no [[tool.path]]";
         script = Some(paths.with_context(|| format!("{}: {none}", source.origin))?);
     }

@@ -8,6 +8,8 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
+use tungstenite::WebSocket;
+use tungstenite::stream::MaybeTlsStream;
 
 const DATABASE: &str = "glisson-results.sqlite";
 const HEADLESS: [&str; 6] = ["task", "run", "own.toml", "--headless", "--out", "made"];
@@ -272,6 +274,8 @@ struct Served {
     child: Child,
     /// Open as long as the program writes to it.
     _told: BufReader<ChildStdout>,
+    /// Who looks: the demonstration waits for somebody.
+    _viewer: WebSocket<MaybeTlsStream<TcpStream>>,
     address: String,
 }
 
@@ -290,7 +294,9 @@ impl Served {
             let rest = line.split("http://").nth(1)?;
             Some(rest.split('/').next()?.to_owned())
         });
-        Self { child, _told: told, address: address.expect("an address") }
+        let address = address.expect("an address");
+        let (viewer, _) = tungstenite::connect(format!("ws://{address}/ws")).unwrap();
+        Self { child, _told: told, _viewer: viewer, address }
     }
 
     fn get(&self, path: &str) -> String {

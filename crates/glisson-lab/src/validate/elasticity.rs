@@ -23,7 +23,7 @@ struct Reference {
 
 macro_rules! reference_file {
     ($case:literal, $file:literal) => {
-        include_bytes!(concat!("../../../glisson-tissue/tests/data/reference/", $case, "/", $file))
+        include_bytes!(concat!("../../reference/", $case, "/", $file))
     };
 }
 

@@ -49,7 +49,7 @@ fn scene_of(task: &str) -> anyhow::Result<Scene> {
 
 /// Follows the paths of a scene to their end.
 fn play(scene: Scene) -> anyhow::Result<Played> {
-    let script = PathScript::new(scene.clone(), 0.0).context("the scene has paths")?;
+    let script = PathScript::new(scene.clone()).context("the scene has paths")?;
     let (time_step_s, origin) = (scene.world.time_step_s, scene.world.name.clone());
     let source = OpenScene { scene, folder: PathBuf::from("."), origin, n_threads: 1 };
     let mut simulation = Simulation::open(source, None)?;

@@ -12,6 +12,9 @@ use super::{LabelMap, VoxelGrid};
 use crate::math::DVec3;
 use crate::text::closest_name;
 
+/// Organ that is taken where none is named.
+const USUAL_LABEL: &str = "liver";
+
 /// Labels that lie inside another organ: (organ, names of its parts).
 /// Names that start with the organ's name and `_` count as parts too, e.g. `liver_vessel`.
 const PARTS: [(&str, &[&str]); 1] = [("liver", &["portal_vein", "hepatic_vein"])];
@@ -157,6 +160,25 @@ impl LabelMap {
             }
         }
         Ok(LabelSelection { labels: labels.into_iter().collect() })
+    }
+
+    /// The organ of a name or number as [`LabelMap::select`]; without one the liver, or the only label there is.
+    ///
+    /// # Errors
+    /// As [`LabelMap::resolve`].
+    pub fn select_or_usual(
+        &self,
+        names_or_numbers: Option<&str>,
+        parts: Parts,
+    ) -> Result<LabelSelection, LabelError> {
+        if let Some(asked) = names_or_numbers {
+            return self.select(asked, parts);
+        }
+        let only = match self.present()[..] {
+            [only] if !self.names.iter().any(|(_, name)| name == USUAL_LABEL) => Some(only.to_string()),
+            _ => None,
+        };
+        self.select(only.as_deref().unwrap_or(USUAL_LABEL), parts)
     }
 
     /// For each voxel whether it belongs to `selection`.

@@ -108,13 +108,15 @@ impl MeshFaults {
 /// How many of a list a message names.
 const N_NAMED: usize = 8;
 
-fn listed<T: fmt::Display>(items: &[T], what: &str, remedy: &str) -> Option<String> {
+/// How many there are, what they are, the first of them, and in brackets what to do, if something is said of it.
+pub(super) fn listed<T: fmt::Display>(items: &[T], what: &str, remedy: &str) -> Option<String> {
     let names: Vec<String> = items.iter().take(N_NAMED).map(ToString::to_string).collect();
     let more = match items.len().saturating_sub(N_NAMED) {
         0 => String::new(),
         more => format!(" and {more} more"),
     };
-    (!items.is_empty()).then(|| format!("{} {what}: {}{more} ({remedy})", items.len(), names.join(", ")))
+    let remedy = if remedy.is_empty() { String::new() } else { format!(" ({remedy})") };
+    (!items.is_empty()).then(|| format!("{} {what}: {}{more}{remedy}", items.len(), names.join(", ")))
 }
 
 impl fmt::Display for MeshFaults {

@@ -25,6 +25,9 @@ pub const VOLUME_TOLERANCE: f64 = 1e-3;
 /// [`MIN_TETRAHEDRA`] on.
 pub const COUNT_TOLERANCE: f64 = 0.05;
 
+/// Number of tetrahedra where neither a number nor a size is told.
+pub const USUAL_TETRAHEDRA: usize = 6_300;
+
 /// Smallest number of tetrahedra that can be asked for.
 pub const MIN_TETRAHEDRA: usize = 200;
 

@@ -14,6 +14,7 @@ pub mod generate;
 pub mod remap;
 pub mod zones;
 pub mod faults;
+pub mod checked;
 pub mod box_mesh;
 pub mod files;
 

@@ -41,6 +41,7 @@ pub(crate) fn published(step: u64) -> Arc<Published> {
         contact_points: None,
         inside: None,
         inside_watchers: Arc::default(),
+        versions_from: 0,
         parameters: Arc::default(),
         contact_watchers: Arc::default(),
         topology: Arc::new(DisplayTopology {

@@ -15,6 +15,7 @@ threads. Arrays are SI, in the patient frame LPS (x to the patient's left, y to 
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 from collections.abc import Mapping
@@ -23,35 +24,73 @@ from typing import Any
 from glisson._glisson import (
     MAX_TOOLS,
     POSE_LENGTH,
+    Image,
+    Labels,
+    Mesh,
+    MeshError,
     Saved,
     Scene,
     SceneError,
+    Series,
     SimulationError,
+    Solution,
+    Surface,
     World,
     Worlds,
     __version__,
+    check,
+    mesh,
     replay_session,
     run_program,
+    segment,
+    solve,
+    surface_of,
     task_names,
+    validate,
+    validation_groups,
 )
 from glisson._plain import plain
 
 __all__ = [
     "MAX_TOOLS",
     "POSE_LENGTH",
+    "Image",
+    "Labels",
+    "Mesh",
+    "MeshError",
     "Saved",
     "Scene",
     "SceneError",
+    "Series",
     "SimulationError",
+    "Solution",
+    "Surface",
     "World",
     "Worlds",
     "__version__",
+    "check",
+    "mesh",
     "replay_session",
     "run_program",
     "scene_from_dict",
+    "segment",
+    "solve",
+    "surface_of",
     "task_names",
+    "validate",
+    "validation_groups",
     "vary",
 ]
+
+
+#: Modules that come when they are asked for: what they need is not needed otherwise.
+_MODULES = ("cohorts", "envs", "interchange", "kinematics", "notebook", "viewer")
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return importlib.import_module(f"glisson.{name}")
+    raise AttributeError(f"module 'glisson' has no attribute {name!r}")
 
 
 def scene_from_dict(scene: Mapping[str, Any], folder: str | os.PathLike[str] = ".") -> Scene:

@@ -316,6 +316,12 @@ impl Simulation {
         self.notices.tell(Notice { text, is_problem: true });
     }
 
+    /// Tells that there is no such instrument.
+    pub(crate) fn refuse_tool(&mut self, tool: usize) {
+        let n_tools = self.world.tools().len();
+        self.tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
+    }
+
     /// Tells what is as it should be. What was just said is not repeated.
     pub(crate) fn tell_news(&mut self, text: String) {
         self.notices.tell(Notice { text, is_problem: false });
@@ -423,14 +429,14 @@ impl Simulation {
     }
 
     /// Makes the mesh finer around an instrument's tip; where that cannot be, the reason is told.
-    pub(crate) fn refine_around(&mut self, tool: usize) -> anyhow::Result<()> {
+    pub fn refine_around(&mut self, tool: usize) -> anyhow::Result<()> {
         self.guarded(|simulation| simulation.refine_around_now(tool))
     }
 
     fn refine_around_now(&mut self, tool: usize) -> anyhow::Result<()> {
         let n_tools = self.world.tools().len();
         if tool >= n_tools {
-            self.tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
+            self.refuse_tool(tool);
             return Ok(());
         }
         match self.world.finer_region_at(tool) {
@@ -487,7 +493,7 @@ impl Simulation {
     fn clip_vessel_now(&mut self, tool: usize) -> anyhow::Result<()> {
         let n_tools = self.world.tools().len();
         if tool >= n_tools {
-            self.tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
+            self.refuse_tool(tool);
             return Ok(());
         }
         self.record(&SessionEvent::Clip { step: self.world.steps_made(), tool: tool as u8 });

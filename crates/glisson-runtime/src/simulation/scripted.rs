@@ -38,6 +38,13 @@ impl Simulation {
         self.script.as_ref().map(|run| StepInput::of(&run.next.tools[..n_tools]))
     }
 
+    /// Somebody looks from now on.
+    pub(crate) fn show_begins(&mut self) {
+        if let Some(run) = &mut self.script {
+            run.script.show_begins();
+        }
+    }
+
     /// A viewer moves this instrument.
     pub(crate) fn take_from_script(&mut self, tool: usize) {
         if let Some(run) = &mut self.script {

@@ -27,7 +27,9 @@ pub use law::{Material, Tangent, largest_tangent_eigenvalue_pa, projected};
 pub(crate) use law::{cofactor, cofactor_differential, contraction};
 pub use linear_elastic::{LinearElastic, MaterialError};
 pub use mooney_rivlin::MooneyRivlin;
-pub use named::{LawChoice, LawEntry, LawKey, LawKeyKind, MaterialSpec, NamedLaw, NumberRange, Typical};
+pub use named::{
+    LawChoice, LawEntry, LawKey, LawKeyKind, LawTextError, MaterialSpec, NamedLaw, NumberRange, Typical,
+};
 pub use neo_hooke_log::NeoHookeLog;
 pub use ogden::{Ogden, OgdenTerm};
 pub use prony::{PronyHistory, PronySeries, PronyStep, PronyTerm};

@@ -3,7 +3,7 @@
 
 use super::{LinearElastic, Material, MaterialError};
 use glisson_mesh::math::DVec3;
-use glisson_mesh::units::Dimension;
+use glisson_mesh::units::{Dimension, UnitError, parse_quantity};
 use std::any::Any;
 use std::fmt;
 use std::sync::Arc;
@@ -110,6 +110,41 @@ pub struct LawChoice {
     directions: Vec<DVec3>,
 }
 
+/// A parameter of a law that cannot be taken from texts; says why.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum LawTextError {
+    /// The law has no such parameter.
+    #[error("the law {law} has no parameter {found}; allowed: {allowed}")]
+    Unknown {
+        /// Which law.
+        law: &'static str,
+        /// What was given.
+        found: String,
+        /// Its parameters.
+        allowed: String,
+    },
+    /// A value that is no number.
+    #[error("`{0}` is not a number")]
+    NotANumber(String),
+    /// A value that is no quantity of the parameter's dimension.
+    #[error(transparent)]
+    Quantity(#[from] UnitError),
+    /// A value that is no direction.
+    #[error("`{0}` is not x,y,z: three numbers with commas")]
+    NotADirection(String),
+    /// A number outside the parameter's range.
+    #[error("allowed: {0}")]
+    OutOfRange(&'static str),
+}
+
+fn parse_direction(text: &str) -> Result<DVec3, LawTextError> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|field| field.trim().parse::<f64>()).collect();
+    match numbers.as_deref() {
+        Ok(&[x, y, z]) => Ok(DVec3::new(x, y, z)),
+        _ => Err(LawTextError::NotADirection(text.to_owned())),
+    }
+}
+
 impl LawChoice {
     /// A law with the defaults of its parameters.
     pub fn of(entry: &'static LawEntry) -> Self {
@@ -151,6 +186,29 @@ impl LawChoice {
     pub fn with_direction(mut self, direction: DVec3) -> Self {
         self.directions.push(direction);
         self
+    }
+
+    /// The same with a parameter as texts give it: `exponent` and `-4.7`, `k1` and `20 kPa`, `fibre` and `1,0,0` (again for a second
+    /// family).
+    ///
+    /// # Errors
+    /// [`LawTextError`]: a parameter that the law has not, or a value that is none of it.
+    pub fn with_text(self, name: &str, value: &str) -> Result<Self, LawTextError> {
+        let keys = self.entry.keys;
+        let key = keys.iter().find(|key| key.name == name).ok_or_else(|| {
+            let allowed: Vec<&str> = keys.iter().map(|key| key.name).collect();
+            let allowed = if allowed.is_empty() { "none".to_owned() } else { allowed.join(", ") };
+            LawTextError::Unknown { law: self.entry.name, found: name.to_owned(), allowed }
+        })?;
+        let number = match key.kind {
+            LawKeyKind::Number(_) => value.parse().map_err(|_| LawTextError::NotANumber(value.to_owned()))?,
+            LawKeyKind::Positive(dimension) => parse_quantity(value, dimension)?,
+            LawKeyKind::Directions => return Ok(self.with_direction(parse_direction(value)?)),
+        };
+        if !(key.range.holds)(number) {
+            return Err(LawTextError::OutOfRange(key.range.allowed));
+        }
+        Ok(self.with_number(key.name, number))
     }
 
     /// The value of a parameter, in SI; no number where it was not given.
@@ -253,5 +311,29 @@ impl MaterialSpec {
 impl fmt::Debug for MaterialSpec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::material::law_named;
+
+    #[test]
+    fn parameters_come_from_texts() {
+        let fibres = || law_named("holzapfel_gasser_ogden").unwrap();
+        let law = fibres().with_text("k1", "20 kPa").unwrap().with_text("fibre", "1, -2,0.5").unwrap();
+        assert_eq!((law.number("k1"), law.directions()), (20e3, &[DVec3::new(1.0, -2.0, 0.5)][..]));
+        for (name, value, words) in [
+            ("alpha", "2", "has no parameter alpha; allowed: "),
+            ("k2", "much", "`much` is not a number"),
+            ("k1", "20", "20"),
+            ("k1", "-1 kPa", "allowed: "),
+            ("fibre", "1,2", "`1,2` is not x,y,z"),
+            ("fibre", "1,2,x", "`1,2,x` is not x,y,z"),
+        ] {
+            let error = fibres().with_text(name, value).map(|_| ()).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+        }
     }
 }

@@ -18,6 +18,7 @@ use super::{
 use crate::material::{Material, Tangent};
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
+use glisson_mesh::progress::tell;
 
 /// Why no solution of a non-linear static case was found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -453,6 +454,8 @@ impl<'a, B: StaticBody> Newton<'a, B> {
                 return Err(StepFailure::Iterations);
             }
             self.n_iterations += 1;
+            // Who waits may break off between two iterations.
+            tell(load);
             self.factor_tangent()?;
             self.system.gather_into(&self.balance_n, &mut self.change);
             let right: Vec<f64> = self.change.clone();

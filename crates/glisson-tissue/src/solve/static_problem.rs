@@ -8,6 +8,7 @@ use super::{BoundaryConditions, FreeSystem, MeshEdges, SolveError, StiffnessTens
 use crate::material::LinearElastic;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
+use glisson_mesh::progress::tell;
 
 /// A linear static case.
 #[derive(Clone, Copy, Debug)]
@@ -72,7 +73,9 @@ pub(super) fn solve_assembled(
         return Err(SolveError::NonFiniteCondition { node: NodeId::from_index(n) });
     }
     let system = FreeSystem::new(edges, tensors, conditions)?;
+    tell(0.2);
     let factor = system.factorize()?;
+    tell(0.9);
 
     let mut displacement_m = vec![DVec3::ZERO; mesh.positions_m.len()];
     for (node, axis, value) in conditions.iter() {

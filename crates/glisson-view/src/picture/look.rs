@@ -3,6 +3,8 @@
 //! All patterns come from noise in rest coordinates, so that they move with the tissue. Colours are
 //! chosen by eye after the look of the organs in open surgery; they carry no information.
 
+use std::sync::LazyLock;
+
 use glam::Vec3;
 
 use super::noise::noise;
@@ -212,7 +214,9 @@ pub(super) fn surface_point(look: Look, rest: Vec3, normal: Vec3, pixel_m: f32) 
 
 /// Linear light of an sRGB byte colour (IEC 61966-2-1).
 pub(super) fn linear(colour: [u8; 3]) -> Vec3 {
-    Vec3::from_array(colour.map(|c| linear_of_srgb(f64::from(c) / 255.0) as f32))
+    static TABLE: LazyLock<[f32; 256]> =
+        LazyLock::new(|| std::array::from_fn(|c| linear_of_srgb(c as f64 / 255.0) as f32));
+    Vec3::from_array(colour.map(|c| TABLE[usize::from(c)]))
 }
 
 fn linear_of_srgb(encoded: f64) -> f64 {
@@ -226,7 +230,13 @@ pub(super) struct SrgbTable(Vec<u8>);
 impl SrgbTable {
     const LAST: usize = 4095;
 
-    pub(super) fn new() -> Self {
+    /// The one of all pictures.
+    pub(super) fn shared() -> &'static Self {
+        static TABLE: LazyLock<SrgbTable> = LazyLock::new(SrgbTable::new);
+        &TABLE
+    }
+
+    fn new() -> Self {
         let encode = |l: f64| if l <= 0.003_130_8 { 12.92 * l } else { 1.055 * l.powf(1.0 / 2.4) - 0.055 };
         let byte = |i: usize| (encode(i as f64 / Self::LAST as f64) * 255.0).round() as u8;
         Self((0..=Self::LAST).map(byte).collect())

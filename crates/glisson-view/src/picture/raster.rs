@@ -346,15 +346,19 @@ pub(super) struct ShadowMap {
 }
 
 impl ShadowMap {
-    const EDGE_TEXELS: usize = 1536;
+    /// Of large pictures; small ones take so many texels a pixel, so that the map costs no more than they do.
+    const MOST_TEXELS: usize = 1536;
+    const TEXELS_PER_PIXEL: usize = 4;
+    const LEAST_TEXELS: usize = 256;
 
-    /// Shadows of a light in direction `towards`, over the scene's organs.
-    pub(super) fn new(facets: &Facets, towards: Vec3) -> Self {
+    /// Shadows of a light in direction `towards`, over the scene's organs, for a picture of `size` pixels.
+    pub(super) fn new(facets: &Facets, towards: Vec3, size: [usize; 2]) -> Self {
         let across = towards.any_orthonormal_vector();
         let along = towards.cross(across);
         let (low, high) = facets.organ_bounds.unwrap_or((Vec3::ZERO, Vec3::ZERO));
         let (center, radius) = (0.5 * (low + high), (0.5 * (high - low).length() * 1.02).max(1e-6));
-        let edge_texels = Self::EDGE_TEXELS;
+        let wanted = Self::TEXELS_PER_PIXEL * size[0].max(size[1]);
+        let edge_texels = wanted.clamp(Self::LEAST_TEXELS, Self::MOST_TEXELS);
         let texels_per_m = edge_texels as f32 / (2.0 * radius);
         let corner = [center.dot(across) - radius, center.dot(along) - radius];
         let mut map =

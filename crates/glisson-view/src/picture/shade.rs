@@ -78,7 +78,9 @@ pub(super) struct Shading<'a> {
     metered_m2: f32,
     /// Share of the surrounding's light that reaches the nearest surface of each pixel.
     openness: Vec<f32>,
-    srgb: SrgbTable,
+    srgb: &'static SrgbTable,
+    /// From top to bottom.
+    background: [Vec3; 2],
 }
 
 impl<'a> Shading<'a> {
@@ -99,11 +101,13 @@ impl<'a> Shading<'a> {
             samples,
             projection,
             lamps,
-            shadows: (camera.light == Light::Room).then(|| ShadowMap::new(facets, lamps[0].towards)),
+            shadows: (camera.light == Light::Room)
+                .then(|| ShadowMap::new(facets, lamps[0].towards, samples.size)),
             light: camera.light,
             metered_m2: 1.0,
             openness: Vec::new(),
-            srgb: SrgbTable::new(),
+            srgb: SrgbTable::shared(),
+            background: BACKGROUND.map(linear),
         };
         let nearest = shading.nearest();
         shading.openness = shading.obscured(&nearest);
@@ -274,7 +278,8 @@ impl<'a> Shading<'a> {
         }
         let [width, height] = self.samples.size.map(|edge| edge as f32);
         let (x, y) = ((column as f32 + 0.5) / width - 0.5, (row as f32 + 0.5) / height);
-        let light = linear(BACKGROUND[0]).lerp(linear(BACKGROUND[1]), y * y);
+        let [top, bottom] = self.background;
+        let light = top.lerp(bottom, y * y);
         light * (1.0 - 0.9 * (x * x + (y - 0.55) * (y - 0.55)))
     }
 

@@ -6,12 +6,16 @@
 //!
 //! Positions are whole numbers of a step, as differences from the frame before, then deflated; all else of a frame keeps its bits, but for
 //! contact points, of which the greatest are kept, rounded.
+//!
+//! For other programs: `series` (ParaView, PyVista, meshio) and `usd`.
 
 pub mod error;
 mod surface;
 pub mod write;
 pub mod read;
 pub mod page;
+pub mod series;
+pub mod usd;
 
 /// The first bytes of a recording.
 pub const MAGIC: &[u8; 4] = b"GLSR";

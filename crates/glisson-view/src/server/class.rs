@@ -6,6 +6,8 @@ use glisson::math::DVec3;
 use glisson::record::note::Note;
 use glisson_runtime::control::{Control, Viewer};
 use serde::Serialize;
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 use tokio::sync::watch;
 
 /// Signs of a name at most: a choice.
@@ -71,26 +73,45 @@ impl ClassWish {
 }
 
 /// The class of one simulation.
-pub(super) struct Class(watch::Sender<Present>);
+pub(super) struct Class {
+    present: watch::Sender<Present>,
+    /// When the last one left, while nobody is there.
+    empty_since: Mutex<Option<Instant>>,
+}
 
 impl Default for Class {
     fn default() -> Self {
-        Self(watch::Sender::new(Present::default()))
+        Self { present: watch::Sender::new(Present::default()), empty_since: Mutex::default() }
     }
 }
 
 impl Class {
     pub(super) fn watch(&self) -> watch::Receiver<Present> {
-        self.0.subscribe()
+        self.present.subscribe()
     }
 
     pub(super) fn enter(&self, viewer: Viewer, is_teacher: bool) {
         let person = Person { number: viewer.number, name: String::new(), is_teacher, points_at_m: None };
-        self.0.send_modify(|present| present.people.push(person));
+        self.present.send_modify(|present| {
+            present.people.push(person);
+            self.note_end(None);
+        });
     }
 
     pub(super) fn leave(&self, viewer: Viewer) {
-        self.0.send_modify(|present| present.people.retain(|person| person.number != viewer.number));
+        self.present.send_modify(|present| {
+            present.people.retain(|person| person.number != viewer.number);
+            self.note_end(present.people.is_empty().then(Instant::now));
+        });
+    }
+
+    fn note_end(&self, end: Option<Instant>) {
+        *self.empty_since.lock().unwrap_or_else(PoisonError::into_inner) = end;
+    }
+
+    /// Since when nobody is there any more; none where somebody is, and before the first one.
+    pub(super) fn empty_since(&self) -> Option<Instant> {
+        *self.empty_since.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Does what is wanted, or says why not.
@@ -102,7 +123,7 @@ impl Class {
     ) -> Result<(), &'static str> {
         let is_own = |person: &&mut Person| person.number == viewer.number;
         let mut change = Ok(());
-        self.0.send_if_modified(|present| {
+        self.present.send_if_modified(|present| {
             let Present { people, marks } = present;
             let Some(person) = people.iter_mut().find(is_own) else { return false };
             match wish {
@@ -131,6 +152,21 @@ impl Class {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn it_is_empty_from_when_the_last_one_left() {
+        let (class, control) = (Class::default(), Control::default());
+        assert!(class.empty_since().is_none(), "nobody has come yet");
+        let [one, other] = [(); 2].map(|()| control.enter().unwrap());
+        class.enter(one, false);
+        class.enter(other, false);
+        class.leave(one);
+        assert!(class.empty_since().is_none());
+        class.leave(other);
+        assert!(class.empty_since().is_some());
+        class.enter(one, false);
+        assert!(class.empty_since().is_none());
+    }
 
     #[test]
     fn who_teaches_draws_and_takes_over_and_the_others_are_told_why_not() {

@@ -113,6 +113,7 @@ pub(super) fn snapshot(published: &Published) -> Value {
     json!({
         "step": snapshot.step,
         "time_s": snapshot.time_s,
+        "topology_version": snapshot.topology_version,
         "paused": published.pace.paused,
         "model": published.model.name(),
         "tools": snapshot.tools.iter().map(tool_state).collect::<Vec<_>>(),

@@ -12,6 +12,7 @@ mod flow;
 mod class;
 pub(crate) mod messages;
 mod socket;
+pub mod passive;
 
 use crate::report::{ReportContext, task_report};
 use access::Access;
@@ -43,9 +44,9 @@ use std::sync::mpsc::Sender;
 use std::time::Duration;
 use tokio::sync::watch;
 
-/// The viewer as built into `web/dist`.
+/// The viewer as built into `web/dist`, to which `pages` leads: what cargo packages lies in a crate's own folder.
 #[derive(rust_embed::RustEmbed)]
-#[folder = "../../web/dist"]
+#[folder = "pages"]
 #[allow_missing = true]
 pub(crate) struct ViewerFiles;
 

@@ -206,6 +206,8 @@ impl Connection {
             parameters: None,
         };
         self.greet(&first).await?;
+        // A simulation that ended is told by the closed channel.
+        let _ = shared.commands.send(Command::Viewed);
         published.mark_changed();
         steers.mark_changed();
         class.mark_changed();

@@ -19,19 +19,19 @@ const SPEEDS: std::ops::RangeInclusive<f64> = 0.01..=100.0;
 
 /// What is asked of the film.
 #[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Of the film")]
+#[command(next_help_heading = "Of the film; --from and --to of moments, too")]
 pub(super) struct FilmOptions {
     /// Width and height in pixels, both even
-    #[arg(long, value_name = "WIDTHxHEIGHT", conflicts_with = "html", default_value = "1280x720", value_parser = size)]
+    #[arg(long, value_name = "WIDTHxHEIGHT", conflicts_with_all = ["html", "pvd", "usda"], default_value = "1280x720", value_parser = size)]
     size: [usize; 2],
     /// Frames a second
-    #[arg(long, value_name = "HZ", conflicts_with = "html", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=60))]
+    #[arg(long, value_name = "HZ", conflicts_with_all = ["html", "pvd", "usda"], default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=60))]
     fps: u32,
     /// From where it is taken
-    #[arg(long, value_enum, conflicts_with = "html", default_value_t = From::Outside)]
+    #[arg(long, value_enum, conflicts_with_all = ["html", "pvd", "usda"], default_value_t = From::Outside)]
     view: From,
     /// So many times as fast as the session
-    #[arg(long, value_name = "TIMES", conflicts_with = "html", default_value_t = 1.0, value_parser = speed)]
+    #[arg(long, value_name = "TIMES", conflicts_with_all = ["html", "pvd", "usda"], default_value_t = 1.0, value_parser = speed)]
     speed: f64,
     /// Where in the session it begins, in seconds
     #[arg(long, value_name = "S", conflicts_with = "html", default_value_t = 0.0, value_parser = seconds)]
@@ -40,8 +40,15 @@ pub(super) struct FilmOptions {
     #[arg(long, value_name = "S", conflicts_with = "html", value_parser = seconds)]
     to: Option<f64>,
     /// The program that encodes it, where it is not on the PATH
-    #[arg(long, value_name = "PROGRAM", conflicts_with = "html", default_value = FFMPEG)]
+    #[arg(long, value_name = "PROGRAM", conflicts_with_all = ["html", "pvd", "usda"], default_value = FFMPEG)]
     ffmpeg: PathBuf,
+}
+
+impl FilmOptions {
+    /// Where in the session it begins and ends [s].
+    pub(super) fn span_s(&self) -> [f64; 2] {
+        [self.from, self.to.unwrap_or(f64::INFINITY)]
+    }
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -71,8 +78,8 @@ fn seconds(text: &str) -> Result<f64, String> {
 
 pub(super) fn export(source: &Source, mp4: &Path, options: &FilmOptions) -> anyhow::Result<()> {
     check_extension(mp4, &["mp4"])?;
-    let to_s = options.to.unwrap_or(f64::INFINITY);
-    ensure!(options.from < to_s, "the film ends at {to_s} s, before it begins: --from {} s", options.from);
+    let [from_s, to_s] = options.span_s();
+    ensure!(from_s < to_s, "the film ends at {to_s} s, before it begins: --from {from_s} s");
     let session = source.read()?;
     make_folder_of(mp4)?;
     let encoder = Encoder::start(&options.ffmpeg, mp4, options.size, options.fps)?;
@@ -108,8 +115,7 @@ fn film(
         From::Outside => FilmView::Outside,
         From::Endoscope => FilmView::Endoscope,
     };
-    let span_s = [options.from, options.to.unwrap_or(f64::INFINITY)];
-    let mut clock = FrameClock::new(span_s, options.speed, f64::from(options.fps));
+    let mut clock = FrameClock::new(options.span_s(), options.speed, f64::from(options.fps));
     let (mut camera, mut drawing, mut end_s) = (None, Duration::ZERO, 0.0);
     let Replayed { words: replay, .. } = replayed(session, folder, |simulation, _| {
         let world = simulation.world();

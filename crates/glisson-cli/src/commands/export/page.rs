@@ -21,19 +21,19 @@ const DEFAULT_PRECISION_MM: f64 = 0.05;
 
 /// What is asked of the page.
 #[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Of the HTML file")]
+#[command(next_help_heading = "Of the HTML file; --rate of moments, too")]
 pub(super) struct PageOptions {
     /// Another session, which is played beside it
-    #[arg(long, value_name = "SESSION", conflicts_with = "mp4")]
+    #[arg(long, value_name = "SESSION", conflicts_with_all = ["mp4", "pvd", "usda"])]
     beside: Option<PathBuf>,
-    /// Frames a second of simulated time
+    /// Frames, or moments, a second of simulated time
     #[arg(long, value_name = "HZ", conflicts_with = "mp4", default_value_t = DEFAULT_RATE_HZ, value_parser = clap::value_parser!(u8).range(1..=60))]
-    rate: u8,
+    pub(super) rate: u8,
     /// Positions are written as whole numbers of this, 0.001 to 1 mm; coordinates are off by half of it at most
-    #[arg(long, value_name = "MM", conflicts_with = "mp4", default_value_t = DEFAULT_PRECISION_MM, value_parser = precision_mm)]
+    #[arg(long, value_name = "MM", conflicts_with_all = ["mp4", "pvd", "usda"], default_value_t = DEFAULT_PRECISION_MM, value_parser = precision_mm)]
     precision_mm: f64,
     /// Read the written file again, and all of its frames
-    #[arg(long, conflicts_with = "mp4")]
+    #[arg(long, conflicts_with_all = ["mp4", "pvd", "usda"])]
     check: bool,
 }
 
@@ -51,11 +51,17 @@ pub(crate) fn require_page() -> anyhow::Result<()> {
 
 /// Writes a session as a page, with the settings that [`Args`] has when none are given.
 pub(crate) fn write_page(session: &Path, folder: &Path, html: &Path) -> anyhow::Result<()> {
+    write_text(html, &page_of(session, folder)?)
+}
+
+/// A session as a page, with the settings that [`Args`] has when none are given.
+pub(crate) fn page_of(session: &Path, folder: &Path) -> anyhow::Result<String> {
+    require_page()?;
     let session = replay::read_session(session)?;
     let settings =
         RecordingSettings { rate_hz: f64::from(DEFAULT_RATE_HZ), step_m: 1e-3 * DEFAULT_PRECISION_MM };
     let Exported { recording, .. } = with_bar("replaying", || record(&session, folder, settings, None))?;
-    write_text(html, &page_with(&[&recording.bytes]).context("the program's page is gone")?)
+    page_with(&[&recording.bytes]).context("the program's page is gone")
 }
 
 pub(super) fn export(source: &Source, html: &Path, options: &PageOptions) -> anyhow::Result<()> {

@@ -6,6 +6,7 @@ use super::MeshFileError;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
 use crate::scan::millimetres;
+use crate::text::escaped_xml;
 use crate::vtk_xml::write_array;
 
 /// What a field of values lies on.
@@ -63,13 +64,9 @@ pub(super) fn check_fields(mesh: &TetMesh, fields: &[VtuField<'_>]) -> Result<()
     Ok(())
 }
 
-fn escaped(name: &str) -> String {
-    name.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
-}
-
 fn write_fields(out: &mut impl Write, fields: &[VtuField<'_>], place: FieldPlace) -> io::Result<()> {
     for field in fields.iter().filter(|f| f.place == place) {
-        let name = escaped(field.name);
+        let name = escaped_xml(field.name);
         match field.values {
             FieldValues::Scalars(v) => {
                 let bytes: Vec<u8> = v.iter().flat_map(|x| x.to_le_bytes()).collect();

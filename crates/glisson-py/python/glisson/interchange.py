@@ -54,7 +54,7 @@ def _split(source: Source, fields: Fields | None) -> tuple[dict[str, NDArray[Any
 
 def to_meshio(source: Source, fields: Fields | None = None) -> Any:
     """A ``meshio.Mesh`` of a mesh, a surface, or a world as it is now, with ``fields`` at nodes or in cells."""
-    import meshio
+    import meshio  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
     points, kind, cells = _geometry(source)
     at_nodes, in_cells = _split(source, fields)
@@ -76,7 +76,7 @@ def from_meshio(mesh: Any, scale: float = 1.0) -> Mesh | Surface:
 def to_pyvista(source: Source, fields: Fields | None = None) -> Any:
     """A ``pyvista.UnstructuredGrid`` of a mesh, or of a world as it is now; of a surface a ``pyvista.PolyData``. With ``fields`` at nodes or
     in cells."""
-    import pyvista
+    import pyvista  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
     points, kind, cells = _geometry(source)
     at_nodes, in_cells = _split(source, fields)

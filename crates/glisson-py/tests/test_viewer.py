@@ -54,6 +54,8 @@ class Page:
                 return json.loads(payload)
 
     def close(self):
+        self.socket.shutdown(socket.SHUT_RDWR)
+        self.stream.close()
         self.socket.close()
 
 

@@ -36,6 +36,11 @@ impl PyScene {
         self.text == other.text && self.folder == other.folder
     }
 
+    /// How many instruments it has.
+    pub(crate) fn n_tools(&self) -> usize {
+        self.scene.world.tools.len()
+    }
+
     pub(crate) fn parsed(&self) -> &Scene {
         &self.scene
     }

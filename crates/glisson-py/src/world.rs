@@ -37,7 +37,7 @@ pub(crate) struct PySaved {
 impl PyWorld {
     /// How many instruments it has.
     pub(crate) fn n_tools(&self) -> usize {
-        self.scene.get().parsed().world.tools.len()
+        self.scene.get().n_tools()
     }
 
     /// Does something with the world, without the GIL.
@@ -139,8 +139,7 @@ impl PyWorld {
 
     /// Makes a step with the hands put to `poses`, without touching anything on the way.
     fn place(&self, py: Python<'_>, poses: PyReadonlyArrayDyn<'_, f64>) -> PyResult<()> {
-        let n_tools = self.scene.get().parsed().world.tools.len();
-        let poses = poses_of(&poses, (None, n_tools))?;
+        let poses = poses_of(&poses, (None, self.n_tools()))?;
         self.with(py, |runner| runner.place(&poses[0]))
     }
 

@@ -140,7 +140,7 @@ impl PyWorlds {
         if threads == Some(0) || scenes.is_empty() {
             return Err(PyValueError::new_err("give one scene or more, and 1 thread or more"));
         }
-        let n_tools_of = |scene: &Py<PyScene>| scene.get().parsed().world.tools.len();
+        let n_tools_of = |scene: &Py<PyScene>| scene.get().n_tools();
         let n_tools = n_tools_of(&scenes[0]);
         if let Some(other) = scenes.iter().position(|scene| n_tools_of(scene) != n_tools) {
             return Err(PyValueError::new_err(format!(

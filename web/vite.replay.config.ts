@@ -1,53 +1,10 @@
-import { readFileSync } from "node:fs";
-import { defineConfig, type Plugin } from "vite";
-
-const OUT = "dist.new";
-
-/** What the bundled packages ask for, as the build of the viewer wrote it, which bundles the same ones. */
-function notices(): string {
-  return readFileSync(new URL(`${OUT}/licenses.md`, import.meta.url), "utf8");
-}
-
-/** Puts scripts and styles into the page that uses them: it is then one file, which a browser opens from disk. */
-function inOneFile(): Plugin {
-  return {
-    name: "in-one-file",
-    enforce: "post",
-    generateBundle(_options, bundle) {
-      const files = Object.values(bundle);
-      const page = files.find((file) => file.fileName.endsWith(".html"));
-      if (page?.type !== "asset") throw new Error("the build has no page");
-      let html = String(page.source);
-      const put = (pattern: RegExp, text: string): void => {
-        if (!pattern.test(html)) throw new Error(`the page does not use ${pattern}`);
-        html = html.replace(pattern, () => text);
-      };
-      let script = "";
-      for (const file of files) {
-        if (file === page) continue;
-        const used = `[^>]*(?:src|href)="[^"]*${file.fileName.replaceAll(".", "\\.")}"[^>]*>`;
-        if (file.type === "chunk") {
-          put(new RegExp(`\\s*<script${used}</script>`), "");
-          script = file.code.replaceAll("</script", "<\\/script");
-        } else if (file.fileName.endsWith(".css")) {
-          put(new RegExp(`<link${used}`), `<style>${String(file.source)}</style>`);
-        } else {
-          throw new Error(`${file.fileName} is in no page`);
-        }
-        delete bundle[file.fileName];
-      }
-      html = html.replace("</head>", () => `<!--\n${notices().replaceAll("--", "==")}\n    -->\n  </head>`);
-      // Behind the recording, which it reads.
-      put(/\s*<\/body>/, `\n    <script type="module">${script}</script>\n  </body>`);
-      page.source = html;
-    },
-  };
-}
+import { defineConfig } from "vite";
+import { inOneFile, OUT } from "./one_file.ts";
 
 /** The player of recorded sessions, which `glisson export` puts a recording into. Built after the other pages, beside them. */
 export default defineConfig({
   base: "./",
-  plugins: [inOneFile()],
+  plugins: [inOneFile("replay.html")],
   build: {
     outDir: OUT,
     emptyOutDir: false,

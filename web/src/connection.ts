@@ -1,4 +1,4 @@
-/** The WebSocket to the server: decodes what arrives, reconnects when it is lost. */
+/** The connection to the simulation: decodes what arrives, reconnects when it is lost. */
 import {
   decodeBinary,
   decodeText,
@@ -76,33 +76,70 @@ export function messageOf(
   }
 }
 
-export class Connection {
+/** What becomes of a carrier. */
+export interface CarrierEvents {
+  opened(): void;
+  message(data: unknown): void;
+  closed(): void;
+}
+
+/** What carries messages between the page and its simulation. */
+export interface Carrier {
+  /** Begins; answers once it is open, and with each message, until it is closed. */
+  open(events: CarrierEvents): void;
+  /** True if the message went out; what is not open drops it (the next state comes anyway). */
+  send(message: string): boolean;
+  /** After it was closed: whether it is not to be opened again, because something else is there; null: ask again. */
+  isElsewhere(): Promise<boolean | null>;
+}
+
+/** A server's. `isElsewhere`: whether another page is served there. */
+export class SocketCarrier implements Carrier {
   private socket: WebSocket | null = null;
+
+  constructor(private readonly address: string, readonly isElsewhere: () => Promise<boolean | null>) {}
+
+  open(events: CarrierEvents): void {
+    const socket = new WebSocket(this.address);
+    socket.binaryType = "arraybuffer";
+    this.socket = socket;
+    socket.onopen = () => events.opened();
+    socket.onmessage = (event: MessageEvent<unknown>) => events.message(event.data);
+    socket.onclose = () => {
+      this.socket = null;
+      events.closed();
+    };
+  }
+
+  send(message: string): boolean {
+    if (this.socket?.readyState !== WebSocket.OPEN) return false;
+    this.socket.send(message);
+    return true;
+  }
+}
+
+export class Connection {
   /** Where positions are differences from. */
   private key: Key | null = null;
   private attempt = 0;
 
-  /** `elsewhere`: whether a lost connection is not to be made again, because another page is served here; null: ask again. */
+  /** `mayEnd`: whether the simulation may have been ended from a page, so that something else may be there. */
   constructor(
-    private readonly address: string,
+    private readonly carrier: Carrier,
     private readonly events: ConnectionEvents,
-    private readonly elsewhere: () => Promise<boolean | null> = async () => false,
+    private readonly mayEnd: () => boolean = () => false,
   ) {}
 
   open(): void {
     this.events.state(this.attempt === 0 ? "connecting" : "lost", this.attempt);
-    const socket = new WebSocket(this.address);
-    socket.binaryType = "arraybuffer";
-    this.socket = socket;
-    socket.onopen = () => {
-      this.attempt = 0;
-      this.events.state("open", 0);
-    };
-    socket.onmessage = (event: MessageEvent<unknown>) => this.receive(event.data);
-    socket.onclose = () => {
-      this.socket = null;
-      this.lose();
-    };
+    this.carrier.open({
+      opened: () => {
+        this.attempt = 0;
+        this.events.state("open", 0);
+      },
+      message: (data) => this.receive(data),
+      closed: () => this.lose(),
+    });
   }
 
   private lose(): void {
@@ -112,7 +149,7 @@ export class Connection {
   }
 
   private async tryAgain(): Promise<void> {
-    const elsewhere = await this.elsewhere();
+    const elsewhere = this.mayEnd() ? await this.carrier.isElsewhere() : false;
     if (elsewhere === null) this.lose();
     else if (!elsewhere) this.open();
   }
@@ -124,11 +161,9 @@ export class Connection {
     this.send({ type: "model", name: hello.models[next] });
   }
 
-  /** True if the message went out; a lost connection drops it (the next state comes from the server anyway). */
+  /** True if the message went out. */
   send(message: ClientMessage): boolean {
-    if (this.socket?.readyState !== WebSocket.OPEN) return false;
-    this.socket.send(encodeClientMessage(message));
-    return true;
+    return this.carrier.send(encodeClientMessage(message));
   }
 
   private receive(data: unknown): void {

@@ -1,24 +1,6 @@
-/** Starts the viewer on the page, or says on the page why it cannot. */
-import "./style.css";
-import "./hand.css";
-import "./lists.css";
-import "./task.css";
-import "./layout.css";
-import { viewerHook } from "./hook";
-import { text, translatePage } from "./language";
-import { findPage } from "./page";
-import { Viewer } from "./viewer";
+/** The viewer of a simulation that a program serves. */
+import { SocketCarrier, socketAddress } from "./connection";
+import { goesElsewhere } from "./leaving";
+import { startViewer } from "./start_viewer";
 
-translatePage();
-try {
-  const viewer = new Viewer(findPage());
-  Object.defineProperty(window, "glisson", { value: viewerHook(() => viewer.parts()) });
-} catch (error) {
-  console.error(error);
-  const reason = error instanceof Error ? error.message : String(error);
-  const banner = document.getElementById("banner");
-  if (banner !== null) {
-    banner.hidden = false;
-    banner.textContent = text("cannot_start", { reason });
-  }
-}
+startViewer(() => new SocketCarrier(socketAddress(window.location.href), goesElsewhere));

@@ -1,6 +1,6 @@
 /** The viewer: joins connection, picture, panel, pointer and keys. One frame does all its work, and only on demand. */
 import { ClassView } from "./class_view";
-import { Connection, messageOf, socketAddress, type ConnectionState } from "./connection";
+import { Connection, messageOf, type Carrier, type ConnectionState } from "./connection";
 import { Contacts } from "./contacts";
 import { Controls } from "./controls";
 import { HandMotion } from "./hand_motion";
@@ -9,7 +9,7 @@ import { newCounters, type ViewerParts } from "./hook";
 import { rollOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
 import { text } from "./language";
 import { Laboratory } from "./laboratory";
-import { goesElsewhere, Leaving } from "./leaving";
+import { Leaving } from "./leaving";
 import { isSwitch, Looks } from "./looks";
 import type { Orbit } from "./orbit";
 import { drawOrientation } from "./orientation";
@@ -63,7 +63,7 @@ export class Viewer {
   private readonly leaving: Leaving;
   private readonly counters = newCounters();
 
-  constructor(private readonly page: Page) {
+  constructor(private readonly page: Page, carrier: Carrier) {
     this.messages = new Messages(page.messages);
     this.scene = new Scene3d(page.scene);
     this.panel = new Panel(page.panel);
@@ -91,7 +91,7 @@ export class Viewer {
     // Not the canvas, which is as deep as the panel: what is changed while one size is told has to be deeper to be told, too.
     for (const part of [page.scene.parentElement!, page.toolbar, page.panel, page.task]) sizes.observe(part);
     page.scene.addEventListener("webglcontextlost", () => this.messages.error(text("graphics_lost")));
-    this.connection = new Connection(socketAddress(window.location.href), {
+    this.connection = new Connection(carrier, {
       state: (state, attempt) => this.connectionState(state, attempt),
       hello: (hello) => this.begin(hello),
       topology: (topology) => this.setTopology(topology),
@@ -105,7 +105,7 @@ export class Viewer {
       },
       error: (message) => this.messages.error(message),
       notice: (message) => this.messages.notice(message),
-    }, async () => (this.hello?.can_leave === true ? goesElsewhere() : false));
+    }, () => this.hello?.can_leave === true);
     this.leaving = new Leaving({
       leave: () => this.connection.send({ type: "leave" }),
       notice: (words) => this.messages.notice(words),

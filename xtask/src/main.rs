@@ -17,6 +17,7 @@ mod ros2;
 mod served;
 mod setup;
 mod test;
+mod web;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
@@ -44,7 +45,13 @@ enum Task {
         /// Fail instead of skipping when the real CT cannot be fetched
         #[arg(long)]
         require_ct: bool,
+        /// Fail instead of skipping when the simulation cannot be compiled for browsers
+        #[arg(long)]
+        require_web: bool,
     },
+    /// Compile the simulation for browsers (WebAssembly) into web/wasm. Programs that are built afterwards hold it, and `glisson export`
+    /// makes a page of a scene that simulates it without a server
+    Web,
     /// The long runs: palpation (a million steps with each model, replayed), edits (20,000 random cuts, grasps and
     /// tears: 200 seeds over all models that can be cut, their laws and scenes), and page-tasks (every task's demonstration in front of a
     /// page); the first two write docs/soak.md and docs/soak_edits.md. With GLISSON_SOAK_EDITS_LOG=FILE the seeds of edits that ended
@@ -230,7 +237,8 @@ fn main() -> anyhow::Result<()> {
             all.extend(arguments.iter().map(String::as_str));
             run(&program.to_string_lossy(), &all)
         }
-        Task::Test { require_ct } => test::all(require_ct),
+        Task::Test { require_ct, require_web } => test::all(require_ct, require_web),
+        Task::Web => web::build(),
         Task::Soak { what, steps } => test::soak(what, steps),
         Task::Network { scene, require } => {
             let scene = scene.map(|scene| root().join(scene));

@@ -1,6 +1,6 @@
 //! `cargo xtask release`: what is given to users, and the next version's number.
 
-use crate::{build_all, program, python, root, run, run_in, run_within, setup, target};
+use crate::{build_all, program, python, root, run, run_in, run_within, setup, target, web};
 use anyhow::{Context, ensure};
 use sha2::{Digest, Sha256};
 use std::fs;
@@ -41,6 +41,8 @@ pub(crate) fn make(version: Option<&str>, wheel: bool) -> anyhow::Result<()> {
         fs::remove_dir_all(&out).with_context(|| out.display().to_string())?;
     }
     fs::create_dir_all(&out).with_context(|| out.display().to_string())?;
+    // With the page of scenes that simulate themselves.
+    web::build()?;
     build_all()?;
     licences(&tools, &out)?;
     bill_of_materials(&tools, &out)?;

@@ -1,7 +1,7 @@
 //! `cargo xtask test`: every check, in the order of how soon it can fail.
 
 use crate::served::Served;
-use crate::{ct, images, metrics, program, python, root, run, run_in, setup};
+use crate::{ct, images, metrics, program, python, root, run, run_in, setup, web};
 use anyhow::Context;
 use std::ffi::OsStr;
 use std::path::Path;
@@ -42,7 +42,7 @@ impl Stages {
 }
 
 /// Runs every check; fails at the first that does not hold.
-pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
+pub(crate) fn all(require_ct: bool, require_web: bool) -> anyhow::Result<()> {
     let mut stages = Stages::default();
     let mut skipped = Vec::new();
     stages.run("format", || run("cargo", &["fmt", "--all", "--check"]))?;
@@ -56,6 +56,15 @@ pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
         }
     })?;
     stages.run("ffmpeg", setup::ffmpeg)?;
+    stages.run("simulation for browsers", || match web::build() {
+        Ok(()) => Ok(()),
+        Err(error) if require_web => Err(error.context("--require-web was given")),
+        Err(error) => {
+            println!("SKIPPED the simulation for browsers: {error:#}");
+            skipped.push("simulation for browsers");
+            Ok(())
+        }
+    })?;
     stages.run("viewer: types, lint, unit tests, build", viewer)?;
     // Without zenoh and ROS 2, 200 more packages: `cargo xtask network` has those.
     stages.run("lint", || {
@@ -236,10 +245,11 @@ fn tasks(chromium: &Path, which: &str) -> anyhow::Result<()> {
     )
 }
 
-/// The page that one begins with: to a task, to a new patient, and back; what a laboratory has beside the picture; and a class.
+/// The page that one begins with: to a task, to a new patient, and back; what a laboratory has beside the picture; a class; and the page
+/// that has its simulation in itself.
 fn start(chromium: &Path) -> anyhow::Result<()> {
     let program = root().join(program());
-    ["test:start", "test:laboratory", "test:class"]
+    ["test:start", "test:laboratory", "test:class", "test:local"]
         .into_iter()
         .try_for_each(|tests| browser_test(tests, chromium, &[("GLISSON_PROGRAM", program.as_os_str())]))
 }

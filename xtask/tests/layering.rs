@@ -6,17 +6,19 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates, each of which may use those before it.
-const CRATES: [&str; 10] = [
+const CRATES: [&str; 12] = [
     "glisson-mesh",
     "glisson-tissue",
     "glisson",
     "glisson-runtime",
+    "glisson-protocol",
     "glisson-net",
     "glisson-results",
     "glisson-view",
     "glisson-lab",
     "glisson-cli",
     "glisson-py",
+    "glisson-web",
 ];
 
 /// The examples stand last, in a folder of their own: they use these crates, as a user would, and no crate uses them.

@@ -4,6 +4,81 @@
 
 pub use glam::{DMat3, DQuat, DVec2, DVec3};
 
+/// A right-handed turn about a unit axis. As [`DQuat::from_axis_angle`], but with the same bits on every system: that asks the system's
+/// own sine.
+pub fn rotation_about(axis: DVec3, angle_rad: f64) -> DQuat {
+    let (sine, cosine) = libm::sincos(0.5 * angle_rad);
+    let v = axis * sine;
+    DQuat::from_xyzw(v.x, v.y, v.z, cosine)
+}
+
+/// The rotation at a share of the shorter way from one to another, at constant speed (Shoemake 1985, Computer Graphics 19(3), 245). As
+/// [`DQuat::slerp`], but with the same bits on every system.
+pub fn rotation_between(from: DQuat, to: DQuat, share: f64) -> DQuat {
+    let cosine = from.dot(to);
+    let (to, cosine) = if cosine < 0.0 { (-to, -cosine) } else { (to, cosine) };
+    // Of so small a turn the sine is the angle.
+    if cosine > 1.0 - f64::EPSILON {
+        return (from * (1.0 - share) + to * share).normalize();
+    }
+    let angle = libm::acos(cosine);
+    let weight = |share: f64| libm::sin(share * angle) / libm::sin(angle);
+    from * weight(1.0 - share) + to * weight(share)
+}
+
+/// How numbers are rounded, which decides the bits of nearly everything: results are the same in one class, on any machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Arithmetic {
+    /// Of programs: `a * b + c` is rounded once.
+    #[default]
+    Fused,
+    /// Of browsers: the same, but dense matrices, from which factors are made, are multiplied in another order. Where no factor is
+    /// needed, the bits are those of programs.
+    WebFused,
+    /// Of browsers that have no operation for it: `a * b + c` is rounded twice, product and sum.
+    WebSeparate,
+}
+
+impl Arithmetic {
+    /// That of this program where it runs.
+    pub fn here() -> Self {
+        // The product's last bit is lost where it is rounded before the sum.
+        let x = std::hint::black_box(1.0 + f64::EPSILON);
+        let is_fused = fused(x, x, -(1.0 + 2.0 * f64::EPSILON)) != 0.0;
+        match (cfg!(target_family = "wasm"), is_fused) {
+            (false, _) => Self::Fused,
+            (true, true) => Self::WebFused,
+            (true, false) => Self::WebSeparate,
+        }
+    }
+
+    /// For people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fused => "fused",
+            Self::WebFused => "web_fused",
+            Self::WebSeparate => "web_separate",
+        }
+    }
+}
+
+/// `a * b + c` in this program's [`Arithmetic`].
+#[inline(always)]
+pub fn fused(a: f64, b: f64, c: f64) -> f64 {
+    #[cfg(all(target_arch = "wasm32", target_feature = "relaxed-simd"))]
+    {
+        use core::arch::wasm32::{f64x2_extract_lane, f64x2_relaxed_madd, f64x2_splat};
+        f64x2_extract_lane::<0>(f64x2_relaxed_madd(f64x2_splat(a), f64x2_splat(b), f64x2_splat(c)))
+    }
+    #[cfg(all(target_arch = "wasm32", not(target_feature = "relaxed-simd")))]
+    {
+        a * b + c
+    }
+    #[cfg(not(target_arch = "wasm32"))]
+    a.mul_add(b, c)
+}
+
 /// Axis-aligned box in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Aabb {
@@ -162,5 +237,44 @@ impl SeededRandom {
         let u = 1.0 - self.uniform();
         let v = self.uniform();
         libm::sqrt(-2.0 * libm::log(u)) * libm::cos(std::f64::consts::TAU * v)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rotations_are_those_of_glam() {
+        let mut random = SeededRandom::new(8);
+        let mut unit = || {
+            let v = DVec3::new(
+                random.uniform_in(-1.0, 1.0),
+                random.uniform_in(-1.0, 1.0),
+                random.uniform_in(-1.0, 1.0),
+            );
+            v.normalize_or(DVec3::X)
+        };
+        for i in 0..200 {
+            let (axis, angle_rad) = (unit(), 0.05 * f64::from(i) - 4.0);
+            let (found, other) = (rotation_about(axis, angle_rad), DQuat::from_axis_angle(unit(), 1.3));
+            assert!(found.abs_diff_eq(DQuat::from_axis_angle(axis, angle_rad), 1e-15));
+            for share in [0.0, 0.3, 1.0] {
+                // `slerp` approximates an angle.
+                let close = |a: DQuat, b: DQuat| a.abs_diff_eq(b, 1e-3);
+                let between = rotation_between(found, other, share);
+                assert!(close(between, found.slerp(other, share)) && between.is_normalized());
+            }
+            assert!(rotation_between(found, found, 0.4).abs_diff_eq(found, 1e-15));
+        }
+        let half = rotation_between(DQuat::IDENTITY, rotation_about(DVec3::Z, 1.0), 0.5);
+        assert!(half.abs_diff_eq(rotation_about(DVec3::Z, 0.5), 1e-15));
+    }
+
+    #[test]
+    fn programs_round_once() {
+        assert_eq!(Arithmetic::here(), Arithmetic::Fused);
+        let x = 1.0 + f64::EPSILON;
+        assert_eq!(fused(x, x, -(1.0 + 2.0 * f64::EPSILON)), f64::EPSILON * f64::EPSILON);
     }
 }

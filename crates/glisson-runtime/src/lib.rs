@@ -10,6 +10,7 @@
 //! hold the far ends of the same exchanges. The modules stand in data-flow order; a module uses only modules above it
 //! (`xtask/tests/layering.rs`).
 
+mod background;
 pub mod exchange;
 pub mod histogram;
 pub mod workers;
@@ -33,10 +34,12 @@ pub mod inside;
 pub mod watchers;
 pub mod published;
 pub mod display;
+pub mod shown;
 pub mod live;
 pub mod passive;
 pub mod control;
 pub mod steering;
+#[cfg(not(target_family = "wasm"))]
 pub mod devices;
 pub mod tasks;
 

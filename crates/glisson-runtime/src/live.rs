@@ -1,14 +1,13 @@
 //! The simulation loop of `glisson serve`: keeps pace with the clock, takes commands, publishes what is displayed.
 
-use crate::display::DisplayFeed;
 use crate::effort::{EffortControl, Load};
 use crate::elsewhere::NearbyMaker;
 use crate::haptic_loop::{DeviceStatus, PublishedModel, ToolLink};
 use crate::pace::{FRAME, Pace, PaceMeter, StepMeters, StepTimes};
 use crate::published::{Lateness, Published};
 use crate::realtime::now_ns;
+use crate::shown::Shown;
 use crate::simulation::{Broken, Simulation, Turn, panic_text};
-use anyhow::Context;
 use glisson::haptics::InsertedInstrument;
 use glisson::math::DVec3;
 use glisson::model::LevelOfDetail;
@@ -23,7 +22,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
-use tokio::sync::watch;
 
 /// What a viewer asks for.
 #[derive(Clone, Debug, PartialEq)]
@@ -351,54 +349,6 @@ impl Live {
     }
 }
 
-/// What is shown of a simulation: where it goes, and what it begins with.
-pub struct Shown {
-    feed: DisplayFeed,
-    /// What displays were told last.
-    latest: Arc<Published>,
-}
-
-impl Shown {
-    /// That of a simulation as it is now, and where those who show it find it.
-    ///
-    /// # Errors
-    /// When no thread can be started.
-    pub fn start(simulation: &Simulation) -> anyhow::Result<(Self, watch::Receiver<Arc<Published>>)> {
-        let budget = Duration::from_secs_f64(simulation.world().spec().time_step_s);
-        let meters = Arc::new(StepMeters::within(budget));
-        let first = Published::first(simulation, &meters);
-        let latest = Arc::new(first.clone());
-        let (feed, published) = DisplayFeed::start(first).context("starting the display's thread")?;
-        Ok((Self { feed, latest }, published))
-    }
-
-    /// Shows that it broke: what was shown last stays, for nobody knows what is left of the world.
-    pub(crate) fn show_broken(&mut self, simulation: &Simulation, pace: Pace) {
-        let last = Arc::make_mut(&mut self.latest);
-        last.notices = simulation.notices().to_vec();
-        last.n_notices = simulation.n_notices();
-        last.is_broken = true;
-        last.pace = Pace { paused: true, ..pace };
-        self.feed.publish(Arc::clone(&self.latest));
-    }
-
-    /// Whether somebody looks at what was not gathered for the last state.
-    pub(crate) fn lacks_what_is_watched(&self) -> bool {
-        self.latest.lacks_what_is_watched()
-    }
-
-    /// The simulation came back to an earlier moment.
-    pub(crate) fn went_back(&mut self) {
-        Arc::make_mut(&mut self.latest).count_versions_on();
-    }
-
-    /// Shows it as it is now.
-    pub(crate) fn show(&mut self, simulation: &Simulation, pace: Pace, lateness: Lateness) {
-        self.latest = Arc::new(self.latest.next(simulation, pace, lateness));
-        self.feed.publish(Arc::clone(&self.latest));
-    }
-}
-
 /// Runs until [`Command::Stop`] or until all senders are gone, then ends the recording. The instruments of `links` are
 /// moved by devices. A simulation that broke stands still from then on: its session is kept, displays are told, and the
 /// loop goes on until it is stopped.
@@ -416,16 +366,48 @@ pub fn run(
     loop {
         match commands.recv_timeout(timed.wait()) {
             Ok(Command::Stop) | Err(RecvTimeoutError::Disconnected) => return timed.end(),
-            Ok(command) => timed.unless_broken(|timed| {
-                timed.wants_refresh = timed.live.obey(command)?;
-                Ok(())
-            })?,
+            Ok(command) => timed.obey(command)?,
             Err(RecvTimeoutError::Timeout) => {}
         }
         timed.stall();
-        timed.unless_broken(Timed::keep_pace)?;
-        timed.unless_broken(Timed::show)?;
-        timed.unless_broken(Timed::keep_session)?;
+        timed.turn()?;
+    }
+}
+
+/// A live simulation whose turns its owner makes, on the owner's thread: for a browser's page, which has one for it.
+pub struct Turns(Timed<'static>);
+
+impl Turns {
+    /// As [`run`], without devices.
+    pub fn start(simulation: Simulation) -> Self {
+        let shown = Shown::alone(&simulation);
+        Self(Timed::start(simulation, shown, Vec::new(), None))
+    }
+
+    /// What displays show.
+    pub fn shown(&self) -> &Arc<Published> {
+        &self.0.shown.latest
+    }
+
+    /// Does what a viewer asks for; [`Command::Stop`] is nothing to it.
+    ///
+    /// # Errors
+    /// As [`run`].
+    pub fn obey(&mut self, command: Command) -> anyhow::Result<()> {
+        self.0.obey(command)
+    }
+
+    /// Steps until the clock is reached or a frame is due. Answers how long there is nothing to do then.
+    ///
+    /// # Errors
+    /// As [`run`].
+    pub fn turn(&mut self) -> anyhow::Result<Duration> {
+        self.0.turn().map(|()| self.0.wait())
+    }
+
+    /// From here on a crash of the program loses nothing of what was recorded before.
+    pub fn keep_session(&mut self) {
+        self.0.live.simulation.keep_session();
     }
 }
 
@@ -486,6 +468,19 @@ impl<'a> Timed<'a> {
             n_stalls: 0,
             stalled: Duration::ZERO,
         }
+    }
+
+    fn obey(&mut self, command: Command) -> anyhow::Result<()> {
+        self.unless_broken(|timed| {
+            timed.wants_refresh |= timed.live.obey(command)?;
+            Ok(())
+        })
+    }
+
+    fn turn(&mut self) -> anyhow::Result<()> {
+        self.unless_broken(Self::keep_pace)?;
+        self.unless_broken(Self::show)?;
+        self.unless_broken(Self::keep_session)
     }
 
     /// How long there is nothing to do.
@@ -600,7 +595,8 @@ impl<'a> Timed<'a> {
 
     fn end(mut self) -> anyhow::Result<Ended> {
         if let Some(last) = self.shown.latest.with_task_broken_off(&self.live.simulation) {
-            self.shown.feed.publish(Arc::new(last));
+            self.shown.latest = Arc::new(last);
+            self.shown.publish();
         }
         let steps = self.live.simulation.world().steps_made();
         let state_hash = self.live.simulation.finish()?;
@@ -612,6 +608,7 @@ impl<'a> Timed<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tokio::sync::watch;
 
     #[test]
     fn the_tip_reaches_its_target_and_never_exceeds_its_speed() {
@@ -631,6 +628,22 @@ mod tests {
         poisson_ratio = 0.45\ndensity = \"1000 kg/m3\"\ndamping = \"30 1/s\"\n\
         [[organ.fixed]]\nfurthest = { direction = [0, 0, -1], fraction = 0.6 }\n\
         [tool]\ntip_radius = \"5 mm\"\nhome_tip = [\"40 mm\", \"40 mm\", \"90 mm\"]\nhome_shaft = [0, 0, 1]\n";
+
+    #[test]
+    fn a_pause_is_shown_whatever_is_asked_before_the_next_turn() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("body.tet"), MESH).unwrap();
+        let scene = SCENE.replace("[organ]\n", "[organ]\nmodel = \"precomputed\"\n");
+        std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
+        let source = crate::OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+        let mut turns = Turns::start(Simulation::open(source, None).unwrap());
+        turns.turn().unwrap();
+        turns.obey(Command::Pause(true)).unwrap();
+        let pose = ToolInput::at(DVec3::new(0.04, 0.04, 0.08), DVec3::Z);
+        turns.obey(Command::Tool { tool: 0, pose }).unwrap();
+        turns.turn().unwrap();
+        assert!(turns.shown().pace.paused);
+    }
 
     /// Runs in a computer that has three quarters of its time for something else, while an instrument presses on the body,
     /// until a viewer is told `notice`; answers what was told, how it ended and the recording.

@@ -4,6 +4,9 @@ use crate::exchange::{Latest, Publisher, exchange};
 use glisson::math::DVec3;
 use glisson::tool::ToolInput;
 
+/// The largest force that is told [N], as of a large desktop device: a choice.
+pub const GREATEST_FORCE_N: f64 = 10.0;
+
 /// What the page says.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Aim {

@@ -1,9 +1,10 @@
 //! A simulation that another program steps, before pages: what they are shown, and what they ask.
 
 use crate::Simulation;
-use crate::live::{Command, Shown};
+use crate::live::Command;
 use crate::pace::{FRAME, Pace, PaceMeter};
 use crate::published::{Lateness, Published};
+use crate::shown::Shown;
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;

@@ -3,7 +3,8 @@
 //! A core is a thread's own only if the program's other threads stay away from it: [`CoreKept::keep`] takes it from the thread
 //! that starts them, before it does. What other programs do there is up to whoever runs the machine.
 
-use rustix::time::{ClockId, Timespec, clock_gettime};
+#[cfg(target_os = "linux")]
+use rustix::time::{ClockId, Timespec};
 use std::hint::spin_loop;
 
 /// The scheduler wakes a thread late by some tens of microseconds: the last part of a wait is spent looking at the clock.
@@ -15,10 +16,18 @@ const PRIORITY: u8 = 40;
 const LINK_PRIORITY: u8 = 30;
 
 /// Nanoseconds on a clock that never jumps.
+#[cfg(not(target_family = "wasm"))]
 pub fn now_ns() -> u64 {
-    let time = clock_gettime(ClockId::Monotonic);
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
     // A monotonic clock counts from the machine's start.
     time.tv_sec.unsigned_abs() * 1_000_000_000 + time.tv_nsec.unsigned_abs()
+}
+
+/// Nanoseconds on a clock that never jumps.
+#[cfg(target_family = "wasm")]
+pub fn now_ns() -> u64 {
+    static FIRST_ASKED: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
+    FIRST_ASKED.get_or_init(std::time::Instant::now).elapsed().as_nanos() as u64
 }
 
 /// Waits until that moment of [`now_ns`]; answers at once when it has passed.

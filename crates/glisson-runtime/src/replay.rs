@@ -3,6 +3,7 @@
 use crate::account::Account;
 use crate::{OpenScene, Simulation, Turn};
 use anyhow::{Context, anyhow, bail, ensure};
+use glisson::math::Arithmetic;
 use glisson::mesh::refine::FineRegion;
 use glisson::model::StateHash;
 use glisson::progress::tell;
@@ -27,6 +28,8 @@ pub struct ReplayReport {
     pub first_difference: Option<u64>,
     /// Check-points compared.
     pub checkpoints: u64,
+    /// The recording's, where it is another than here: then bits may differ.
+    pub other_arithmetic: Option<Arithmetic>,
     /// What the session did to the organ.
     pub account: Account,
     /// What was written down of the scene's task, if it has one.
@@ -78,9 +81,12 @@ pub fn replay(
     after_step: impl FnMut(&Simulation) -> anyhow::Result<()>,
 ) -> anyhow::Result<ReplayReport> {
     let mut simulation = open_recorded(session, folder, 1)?;
+    let recorded = session.header.arithmetic;
+    let other_arithmetic = (recorded != Arithmetic::here()).then_some(recorded);
     let Compared { recorded_hash, first_difference, checkpoints } =
         follow(session, &mut simulation, after_step)?;
     Ok(ReplayReport {
+        other_arithmetic,
         steps: simulation.world().steps_made(),
         state_hash: simulation.world().state_hash(),
         recorded_hash,
@@ -108,6 +114,13 @@ pub fn resume(
         "the session has version {} and cannot be gone on with; this program writes version {SESSION_VERSION}. \
          `glisson replay` replays it",
         session.header.version
+    );
+    let (recorded, here) = (session.header.arithmetic, Arithmetic::here());
+    ensure!(
+        recorded == here,
+        "the session was recorded in {} arithmetic and cannot be gone on with in {} arithmetic",
+        recorded.name(),
+        here.name()
     );
     let mut simulation = open_recorded(session, folder, n_threads)?;
     let n_steps = session.events.last().map_or(0, SessionEvent::step);

@@ -3,10 +3,10 @@
 //! ```text
 //! snapshot -> picture (software rasterizer) -> PNG;  numbers -> plot -> SVG
 //! session, step by step -> picture -> film -> MP4 (by ffmpeg)
-//! Published (glisson_runtime) -> server: frames, messages -> WebSocket -> page (web/dist, embedded)
-//! page -> commands -> control (one controls, all may watch) -> Simulation
-//! positions -> quantized -> frames of the server and of recordings
+//! Published (glisson_runtime) -> server: frames, messages (glisson_protocol) -> WebSocket -> page (web/dist, embedded)
+//! page -> commands -> Simulation
 //! TaskRecord (glisson::training) -> report -> HTML
+//! scene, files -> local_page -> HTML that simulates without a server
 //! session -> recording -> HTML that plays without a server
 //! image -> patient (its own page) -> scene -> Simulation
 //! tasks, scene files -> start (its own page) -> Simulation
@@ -18,8 +18,8 @@ pub mod plot;
 pub mod picture;
 pub mod film;
 pub mod report;
-mod quantized;
 pub mod server;
+pub mod local_page;
 pub mod recording;
 mod job;
 pub mod patient;

@@ -1,6 +1,7 @@
 //! `glisson export`.
 
 mod page;
+mod scene_page;
 mod film;
 mod moments;
 
@@ -8,7 +9,7 @@ pub(crate) use page::page_of;
 pub(super) use page::{require_page, write_page};
 
 use super::replay::{Source, same_bits};
-use anyhow::{anyhow, ensure};
+use anyhow::{Context, anyhow, ensure};
 use glisson::progress::tell;
 use glisson::record::session::{Session, SessionEvent};
 use glisson_runtime::Simulation;
@@ -17,13 +18,15 @@ use moments::Moments;
 use std::path::{Path, PathBuf};
 
 /// Write a recorded session as one HTML file that plays in a browser, without a server and without a network, as a film, or for other
-/// programs.
+/// programs; or a scene as one HTML file that simulates it.
 ///
-/// The session is replayed, and refused when the replay does not make the bits of the recording (docs/replay.md).
+/// A session is replayed, and refused when the replay does not make the bits of the recording (docs/replay.md); of one that was recorded
+/// in a browser it is said that they differ. A scene is a TOML file, or the name of a task (docs/local.md).
 #[derive(Debug, clap::Args)]
 #[command(
     group = clap::ArgGroup::new("what").args(["html", "mp4", "pvd", "usda"]).required(true),
-    after_help = "Examples:\n  glisson export out/tasks/palpation.jsonl --html palpation.html\n  \
+    after_help = "Examples:\n  glisson export line_cut --html line_cut.html                     a task, simulated in the page\n  \
+    glisson export out/tasks/palpation.jsonl --html palpation.html\n  \
     glisson export session.jsonl --html session.html --rate 60 --precision-mm 0.01\n  \
     glisson export mine.jsonl --beside experts.jsonl --html both.html\n  \
     glisson export out/tasks/palpation.jsonl --mp4 palpation.mp4 --view endoscope --from 2 --to 8\n  \
@@ -53,7 +56,15 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let moments = || Moments { rate_hz: f64::from(args.page.rate), span_s: args.film.span_s() };
-    if let Some(html) = &args.html {
+    if let Some(scene) = scene_page::scene_of(&args.source)? {
+        let html =
+            args.html.as_ref().context("a scene can be written as --html; record it first for the others")?;
+        ensure!(
+            args.page.is_usual(),
+            "--beside, --rate, --precision-mm and --check are for sessions; this is a scene"
+        );
+        scene_page::export(&args.source, &scene, html)
+    } else if let Some(html) = &args.html {
         page::export(&args.source, html, &args.page)
     } else if let Some(mp4) = &args.mp4 {
         film::export(&args.source, mp4, &args.film)

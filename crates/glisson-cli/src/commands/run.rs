@@ -49,7 +49,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let mut done = Done::new(&scene, args.csv.is_some());
     let start = Instant::now();
     let made = (1..=steps).try_for_each(|step| {
-        let (input, report) = follow_paths(&mut simulation, &scene, step)?;
+        let (input, report) = simulation.follow_paths(&scene, step)?;
         done.add(step, &input, &report);
         Ok(())
     });
@@ -62,21 +62,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         eprintln!("{}", notice.text);
     }
     made.and_then(|()| tell(args, simulation, &done, elapsed_s))
-}
-
-/// Makes step number `step` (from 1) along the scene's paths, with the clips that are set on the way.
-fn follow_paths(
-    simulation: &mut Simulation,
-    scene: &Scene,
-    step: u64,
-) -> anyhow::Result<(StepInput, StepReport)> {
-    let [from_s, to_s] = [step - 1, step].map(|step| step as f64 * scene.world.time_step_s);
-    let input = scene.input_at(to_s);
-    let report = simulation.advance(&input)?;
-    for tool in scene.clips_between(from_s, to_s) {
-        simulation.clip_vessel(tool)?;
-    }
-    Ok((input, report))
 }
 
 /// What a run felt.

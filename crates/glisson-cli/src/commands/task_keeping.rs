@@ -257,7 +257,8 @@ mod tests {
     use glisson::tool::ToolInput;
     use glisson_results::Filter;
     use glisson_runtime::OpenScene;
-    use glisson_runtime::live::{self, Command, Shown};
+    use glisson_runtime::live::{self, Command};
+    use glisson_runtime::shown::Shown;
     use glisson_runtime::steering::Steering;
     use std::time::{Duration, Instant};
 

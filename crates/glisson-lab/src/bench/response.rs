@@ -22,7 +22,7 @@ use glisson::record::snapshot::{BleedingSnapshot, Snapshot};
 use super::colliding::{N_FRAMES, rocking_cubes};
 use super::thesis_cube::{CELLS_288, CELLS_296, thesis_cube};
 use super::{Case, Prepared, Settings};
-use glisson_view::server::frames::{Pace, snapshot_frame};
+use glisson_protocol::frames::{Pace, snapshot_frame};
 
 const STEP: &str = "soft cubes of 625 tetrahedra and 300 triangles pressed together: contacts, geometric response, deformation";
 const CONTACT: &str = "rocking cubes of 300 triangles: contacts and geometric response, without deformation";

@@ -17,7 +17,7 @@ use glisson::world::{StepInput, World};
 
 use super::body::StandardBody;
 use super::{Case, Prepared, Settings, isa_name};
-use glisson_view::server::frames::topology_frame;
+use glisson_protocol::frames::topology_frame;
 
 pub(super) const CASES: &[Case] = &[
     Case {

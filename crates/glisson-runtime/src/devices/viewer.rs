@@ -7,7 +7,7 @@
 use super::kind::{DeviceChoice, DeviceKind, OpenRequest, nothing_after};
 use crate::live::{JUMP_M, approach};
 use crate::open_device::OpenDevice;
-use crate::page_hand::{Felt, PageDeviceEnd, PageHand};
+use crate::page_hand::{Felt, GREATEST_FORCE_N, PageDeviceEnd, PageHand};
 use crate::realtime::now_ns;
 use glisson::haptics::trocar::Placement;
 use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
@@ -45,8 +45,6 @@ impl DeviceChoice for Viewer {
 /// replay does.
 const STIFFNESS_N_PER_M: f64 = 1e5;
 const DAMPING_N_S_PER_M: f64 = 100.0;
-/// The largest force that is told [N], as of a large desktop device: a choice.
-pub const GREATEST_FORCE_N: f64 = 10.0;
 const FORCE_RATE_N_PER_S: f64 = 1e4;
 /// A loop that stood still for longer [s] goes on as if it had been so long.
 const LONGEST_TICK_S: f64 = 0.1;

@@ -11,6 +11,7 @@ pub use guard::{Broken, panic_text};
 pub use saving::{CannotSave, SavedSimulation};
 pub use turning::{ParameterState, Parameters, Turn};
 
+use crate::background::Background;
 use crate::incidents::{Incidents, Notice, Notices, Once};
 use crate::recorder::Recorder;
 use crate::workers::shared_workers;
@@ -30,7 +31,6 @@ use glisson::world::spec::Hand;
 use glisson::world::{StageWatch, StepInput, StepReport, World};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::thread::JoinHandle;
 
 /// Steps between two check-point hashes of a session.
 const CHECKPOINT_STEPS: u64 = 500;
@@ -79,7 +79,7 @@ pub struct Simulation {
     lost_recording: Option<String>,
     /// It goes on from where a session was cut off.
     is_resumed: bool,
-    builder: Option<JoinHandle<BuiltModel>>,
+    builder: Option<Background<BuiltModel>>,
     incidents: Incidents,
     notices: Notices,
     /// Tools whose cut was refused in the last step.
@@ -286,7 +286,7 @@ impl Simulation {
     /// reason to stop: the present one goes on, as it does in a replay, and the reason is told.
     fn take_delivery(&mut self, kind: ModelKind) -> anyhow::Result<()> {
         let builder = self.builder.take().with_context(|| format!("nobody makes the {kind} model"))?;
-        let made = builder.join().unwrap_or_else(|panic| Err(anyhow!("{}", panic_text(panic.as_ref()))));
+        let made = builder.finish().unwrap_or_else(|panic| Err(anyhow!("{}", panic_text(panic.as_ref()))));
         match made {
             Ok((model, made)) => match self.world.deliver_model(model, made) {
                 // The new one may ask in its turn; where none could be made it is not tried again.
@@ -543,7 +543,7 @@ impl Simulation {
         if !self.world.has_only_removals() {
             live = vec![true; self.bodies.joint.mesh.tetrahedra.len()];
         }
-        self.builder = Some(std::thread::spawn(move || {
+        self.builder = Some(Background::begin(move || {
             let model = bodies.build_as_cut(kind, &live)?;
             Ok((model, kind))
         }));

@@ -3,8 +3,9 @@
 use super::Simulation;
 use crate::script::{Clip, Lead, Script, bleeding_ml_per_min};
 use glisson::record::session::SessionEvent;
+use glisson::scene::Scene;
 use glisson::tool::{MAX_TOOLS, ToolInput};
-use glisson::world::StepInput;
+use glisson::world::{StepInput, StepReport};
 
 /// A script that is followed.
 pub(super) struct Run {
@@ -36,6 +37,20 @@ impl Simulation {
     pub fn scripted_input(&self) -> Option<StepInput> {
         let n_tools = self.world.tools().len();
         self.script.as_ref().map(|run| StepInput::of(&run.next.tools[..n_tools]))
+    }
+
+    /// Makes step number `step` (from 1) along the paths of its scene, with the clips that are set on the way.
+    ///
+    /// # Errors
+    /// As [`Simulation::advance`].
+    pub fn follow_paths(&mut self, scene: &Scene, step: u64) -> anyhow::Result<(StepInput, StepReport)> {
+        let [from_s, to_s] = [step - 1, step].map(|step| step as f64 * scene.world.time_step_s);
+        let input = scene.input_at(to_s);
+        let report = self.advance(&input)?;
+        for tool in scene.clips_between(from_s, to_s) {
+            self.clip_vessel(tool)?;
+        }
+        Ok((input, report))
     }
 
     /// Somebody looks from now on.

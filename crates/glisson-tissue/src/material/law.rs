@@ -8,7 +8,8 @@
 //! is not finite; solvers treat both as "step too long".
 
 use super::eigen::eigen_symmetric;
-use glisson_mesh::math::DMat3;
+use glisson_mesh::math::{DMat3, DVec3, rotation_about};
+use std::f64::consts::FRAC_PI_4;
 
 /// d2W/dF2 [Pa]: row 3 c + r is the change of P's entry (r, c), columns are F's entries; symmetric.
 pub type Tangent = [[f64; 9]; 9];
@@ -110,12 +111,13 @@ const STRETCHES_SEEN: i32 = 5;
 /// along three other frames, so that some lie along fibres. A lower estimate, exact for laws whose stiffest state is at the
 /// ends of the range.
 pub fn largest_tangent_eigenvalue_pa(law: &dyn Material, largest_stretch: f64) -> f64 {
-    let stretch = |i: i32| largest_stretch.powf(2.0 * f64::from(i) / f64::from(STRETCHES_SEEN - 1) - 1.0);
+    let stretch =
+        |i: i32| libm::pow(largest_stretch, 2.0 * f64::from(i) / f64::from(STRETCHES_SEEN - 1) - 1.0);
     let frames = [
         DMat3::IDENTITY,
-        DMat3::from_rotation_x(std::f64::consts::FRAC_PI_4),
-        DMat3::from_rotation_y(std::f64::consts::FRAC_PI_4),
-        DMat3::from_rotation_z(std::f64::consts::FRAC_PI_4),
+        DMat3::from_quat(rotation_about(DVec3::X, FRAC_PI_4)),
+        DMat3::from_quat(rotation_about(DVec3::Y, FRAC_PI_4)),
+        DMat3::from_quat(rotation_about(DVec3::Z, FRAC_PI_4)),
     ];
     let mut largest_pa = 0.0_f64;
     for frame in frames {

@@ -8,7 +8,7 @@
 //! those of the step just made, (x(t) - x(t - h))/h. The time since the start is the body's whole state.
 
 use super::{Constraints, DeformableModel, ModelReport, ModelState, ModelUndo, StepAnswer, TopologyRefusal};
-use glisson_mesh::math::{DQuat, DVec3};
+use glisson_mesh::math::{DQuat, DVec3, rotation_between};
 use glisson_mesh::mesh::TetMesh;
 use glisson_mesh::mesh::edit::TopologyChange;
 use std::f64::consts::{PI, TAU};
@@ -65,7 +65,11 @@ impl RigidMotion {
                     if time_s < pose.time_s {
                         let share = (time_s - before.time_s) / (pose.time_s - before.time_s);
                         let displacement_m = before.displacement_m.lerp(pose.displacement_m, share);
-                        return (*pivot_m, displacement_m, before.rotation.slerp(pose.rotation, share));
+                        return (
+                            *pivot_m,
+                            displacement_m,
+                            rotation_between(before.rotation, pose.rotation, share),
+                        );
                     }
                     before = *pose;
                 }

@@ -1,7 +1,7 @@
 //! Why bytes are no recording.
 
 use super::VERSION;
-use crate::quantized::numbers::TakeError;
+use glisson_protocol::quantized::numbers::TakeError;
 
 /// Why bytes are no recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]

@@ -3,10 +3,10 @@
 use super::error::RecordingError;
 use super::surface::Surface;
 use super::{MAGIC, MOST_UNPACKED, VERSION};
-use crate::quantized::numbers::Taker;
-use crate::quantized::places::Place;
-use crate::server::frames;
 use flate2::read::ZlibDecoder;
+use glisson_protocol::frames;
+use glisson_protocol::quantized::numbers::Taker;
+use glisson_protocol::quantized::places::Place;
 use serde::Deserialize;
 use serde_json::Value;
 use std::io::Read as _;

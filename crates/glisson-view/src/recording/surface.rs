@@ -1,11 +1,11 @@
 //! The displayed surface in a recording: each as what it keeps of one before, in order, and what is new.
 
 use super::error::RecordingError;
-use crate::quantized::numbers::{Taker, put, put_signed};
-use crate::quantized::places::{Place, place_of};
 use glisson::math::DVec3;
 use glisson::mesh::NodeId;
 use glisson::record::snapshot::DisplayTopology;
+use glisson_protocol::quantized::numbers::{Taker, put, put_signed};
+use glisson_protocol::quantized::places::{Place, place_of};
 use std::collections::HashMap;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,7 +2,6 @@ use super::error::RecordingError;
 use super::page::{page_with, recordings_in};
 use super::read::{Frame, RecordingReader};
 use super::write::{About, Recording, RecordingSettings, RecordingWriter, TimedNote};
-use crate::server::frames::{Pace, first_position, snapshot_frame, topology_frame};
 use glisson::base64;
 use glisson::math::DVec3;
 use glisson::mesh::NodeId;
@@ -12,6 +11,7 @@ use glisson::record::snapshot::{
     Snapshot, ThreadSnapshot, ToolSnapshot,
 };
 use glisson::tool::ToolInput;
+use glisson_protocol::frames::{Pace, first_position, snapshot_frame, topology_frame};
 use proptest::prelude::*;
 use serde_json::json;
 use std::path::Path;

@@ -2,16 +2,16 @@
 
 use super::surface::Surface;
 use super::{ENOUGH_IN_BLOCK, FRAMES_OF_BLOCK, MAGIC, VERSION};
-use crate::quantized::numbers::{put, put_signed};
-use crate::quantized::places::{Place, place_of};
-use crate::server::frames::{self, Pace};
-use crate::server::messages;
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use glisson::math::DVec3;
 use glisson::record::note::Note;
 use glisson::record::snapshot::{ContactPoint, ContactPoints, DisplayTopology, Snapshot};
 use glisson::training::task::TaskResult;
+use glisson_protocol::frames::{self, Pace};
+use glisson_protocol::messages;
+use glisson_protocol::quantized::numbers::{put, put_signed};
+use glisson_protocol::quantized::places::{Place, place_of};
 use glisson_runtime::Simulation;
 use serde_json::{Value, json};
 use std::io::Write as _;

@@ -2,15 +2,8 @@
 
 pub mod access;
 mod allowance;
-mod hands;
-pub mod inside;
 pub(crate) mod limits;
-pub mod positions;
-pub mod frames;
-mod shared_frames;
 mod flow;
-mod class;
-pub(crate) mod messages;
 mod socket;
 pub mod passive;
 
@@ -23,21 +16,20 @@ use axum::http::{StatusCode, header};
 use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use class::Class;
 use glisson::training::task::TaskRecord;
+use glisson_protocol::conversation::Room;
+use glisson_protocol::hands::{self, Hands};
+use glisson_protocol::messages::{self, HapticsAt};
 use glisson_results::Comparison;
 use glisson_runtime::Simulation;
-use glisson_runtime::control::Control;
 use glisson_runtime::haptic_loop::{HapticLoop, HapticReport, HapticSettings, HeldTool, Meters, ToolLink};
-use glisson_runtime::live::{self, Command, Ended, Shown, Stalls};
+use glisson_runtime::live::{self, Command, Ended, Stalls};
 use glisson_runtime::page_hand::PageHand;
 use glisson_runtime::published::Published;
 use glisson_runtime::remote_figures::RemoteFigures;
+use glisson_runtime::shown::Shown;
 pub use glisson_runtime::steering::{Show, Steering};
-use hands::Hands;
 use limits::Places;
-use messages::HapticsAt;
-use shared_frames::SharedFrames;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
@@ -54,19 +46,14 @@ const NOT_BUILT: &str = "<!doctype html><meta charset=utf-8><title>Glisson</titl
 into this program. Run <code>cargo xtask demo</code>, which builds it.";
 
 struct Shared {
-    hello: serde_json::Value,
-    frames: SharedFrames,
+    room: Arc<Room>,
     published: watch::Receiver<Arc<Published>>,
     commands: Sender<Command>,
-    control: Arc<Control>,
-    class: Class,
     /// Of the haptic loop, if one runs.
     meters: Option<Arc<Meters>>,
     haptics_at: HapticsAt,
     /// Of the haptic loop on the other machine, if there is one.
     remote_figures: Option<RemoteFigures>,
-    /// Instruments that the page in control holds as devices.
-    hands: Hands,
     /// What the haptic loop needs to see that they are home.
     homing: Duration,
     /// Told when the simulation is to end; none where nothing comes after it.
@@ -166,10 +153,8 @@ pub fn serve(
     } = service;
     let (shown, published) = Shown::start(&simulation)?;
     let (commands, commands_out) = std::sync::mpsc::channel();
-    let mut hello = messages::hello(&simulation);
-    hello["can_leave"] = may_leave.into();
-    let devices = held.iter().map(|(_, link)| link).chain(&remote);
-    hello["devices"] = messages::devices(devices);
+    let hello = messages::hello(&simulation);
+    let devices = messages::devices(held.iter().map(|(_, link)| link).chain(&remote));
     let leaving = may_leave.then(|| watch::Sender::new(false));
     let (mut held, mut links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
     let hands = held.iter_mut().zip(&links).filter_map(|(held, link): (&mut HeldTool, &ToolLink)| {
@@ -182,8 +167,8 @@ pub fn serve(
         (true, true) => HapticsAt::Nowhere,
     };
     links.extend(remote);
-    let control = Arc::new(Control::default());
-    let steering = Steering::new(Arc::clone(&control), commands.clone());
+    let room = Arc::new(Room::new(hello, devices, hands, may_leave));
+    let steering = Steering::new(Arc::clone(&room.control), commands.clone());
     let shows: Vec<_> =
         shows.into_iter().map(|show| show(published.clone(), &steering)).collect::<Result<_, _>>()?;
     let homing = hands::homing(haptics.rate_hz);
@@ -192,16 +177,12 @@ pub fn serve(
         .name("simulation".into())
         .spawn(move || live::run(simulation, &commands_out, shown, links, stalls.as_ref()))?;
     let shared = Arc::new(Shared {
-        hello,
-        frames: SharedFrames::default(),
+        room,
         published,
         commands: commands.clone(),
-        control,
-        class: Class::default(),
         meters: haptics.as_ref().map(|haptics| Arc::clone(haptics.meters())),
         haptics_at,
         remote_figures,
-        hands,
         homing,
         leaving: leaving.clone(),
         compare,
@@ -244,11 +225,12 @@ async fn serve_pages(
 
 /// Tells the hands who controls, until the program ends.
 async fn tell_hands(shared: Arc<Shared>) {
-    let mut steers = shared.control.watch();
+    let Room { control, hands, .. } = &*shared.room;
+    let mut steers = control.watch();
     loop {
         let now = *steers.borrow_and_update();
-        shared.hands.are_of(&now);
-        if shared.hands.is_empty() || steers.changed().await.is_err() {
+        hands.are_of(&now);
+        if hands.is_empty() || steers.changed().await.is_err() {
             return;
         }
     }
@@ -289,7 +271,7 @@ fn router(shared: Arc<Shared>, access: Access) -> Router {
 async fn scene(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
     // Not under the lock, for which a writer waits: the answer is long.
     let model = shared.published.borrow().model;
-    axum::Json(messages::hello_with_model(&shared.hello, model))
+    axum::Json(shared.room.hello(model))
 }
 
 async fn latest_snapshot(State(shared): State<Arc<Shared>>) -> impl IntoResponse {

@@ -1,14 +1,12 @@
 //! Pages that look at a simulation which another program steps.
 
 use super::access::Access;
-use super::class::Class;
-use super::hands::{self, Hands};
-use super::messages::{self, HapticsAt};
-use super::shared_frames::SharedFrames;
 use super::{Shared, bind, page_address, serve_pages};
 use anyhow::Context;
+use glisson_protocol::conversation::Room;
+use glisson_protocol::hands::{self, Hands};
+use glisson_protocol::messages::{self, HapticsAt};
 use glisson_runtime::Simulation;
-use glisson_runtime::control::Control;
 use glisson_runtime::haptic_loop::HapticSettings;
 use glisson_runtime::passive::{Asked, Passive};
 use std::sync::Arc;
@@ -47,20 +45,14 @@ impl PassiveServer {
         let teacher_address = page_address(address) + &access.teacher_suffix();
         let (commands, comes) = std::sync::mpsc::channel();
         let (passive, published) = Passive::start(simulation, comes)?;
-        let mut hello = messages::hello(simulation);
-        hello["can_leave"] = false.into();
-        hello["devices"] = messages::devices(std::iter::empty());
+        let (hello, devices) = (messages::hello(simulation), messages::devices(std::iter::empty()));
         let shared = Arc::new(Shared {
-            hello,
-            frames: SharedFrames::default(),
+            room: Arc::new(Room::new(hello, devices, Hands::new(Vec::new(), None), false)),
             published,
             commands,
-            control: Arc::new(Control::default()),
-            class: Class::default(),
             meters: None,
             haptics_at: HapticsAt::Nowhere,
             remote_figures: None,
-            hands: Hands::new(Vec::new(), None),
             homing: hands::homing(HapticSettings::default().rate_hz),
             leaving: None,
             compare: None,
@@ -91,12 +83,12 @@ impl PassiveServer {
 
     /// How many look.
     pub fn n_watchers(&self) -> usize {
-        self.shared.class.watch().borrow().people.len()
+        self.shared.room.class.watch().borrow().people.len()
     }
 
     /// Whether somebody looks, or may yet: false once all who looked have been gone for a while, and where the pages' thread ended.
     pub fn is_running(&self) -> bool {
-        let may_come = self.shared.class.empty_since().is_none_or(|left| left.elapsed() < COMES_BACK);
+        let may_come = self.shared.room.class.empty_since().is_none_or(|left| left.elapsed() < COMES_BACK);
         may_come && self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
     }
 

@@ -1,11 +1,10 @@
 //! The server on real sockets: who gets in, who controls, what is too much.
 
-use super::positions::STEP_M;
-use super::positions::tests::{take_key, take_places};
 use super::*;
-use crate::quantized::numbers::Taker;
 use glisson::math::DVec3;
 use glisson::tool::Tool;
+use glisson_protocol::positions::{STEP_M, take_key, take_places};
+use glisson_protocol::quantized::numbers::Taker;
 use glisson_runtime::OpenScene;
 use glisson_runtime::devices::open_standing;
 use glisson_runtime::haptic_loop::join;

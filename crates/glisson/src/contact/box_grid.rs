@@ -6,6 +6,7 @@
 //! their own, so that they do not widen the buckets, and are compared with everything.
 
 use super::boxes::{PairRules, RoundedBox, ThickSegment};
+use crate::math::fused;
 use glam::Vec3;
 
 /// A box wider than this many times the mean counts as large.
@@ -218,7 +219,7 @@ impl BoxGrid {
         let half_m = 0.5 * f64::from(self.bucket_m);
         let reach_m = query.radius_m + half_m;
         let slab = |piece: [f64; 2], axis: usize| {
-            let ends = piece.map(|t| query.from_m[axis].mul_add(1.0 - t, query.to_m[axis] * t));
+            let ends = piece.map(|t| fused(query.from_m[axis], 1.0 - t, query.to_m[axis] * t));
             let place = |x: f64| (x - f64::from(self.low_m[axis])) / f64::from(self.bucket_m);
             let low = place(ends[0].min(ends[1]) - reach_m).floor().max(0.0);
             let high = place(ends[0].max(ends[1]) + reach_m).floor();

@@ -4,7 +4,7 @@
 //! written only when they change. Every decision that was taken outside the library (sub-steps, when another
 //! model is swapped in) stands here as an input. Check-point hashes let a replay say where it first differs.
 
-use crate::math::DVec3;
+use crate::math::{Arithmetic, DVec3};
 use crate::mesh::TetId;
 use crate::model::LevelOfDetail;
 use crate::model::StateHash;
@@ -45,6 +45,13 @@ pub struct SessionHeader {
     pub scene: String,
     /// BLAKE3 of the mesh (positions and connectivity), hexadecimal.
     pub mesh_hash: String,
+    /// How the program that recorded it rounded.
+    #[serde(default, skip_serializing_if = "is_usual")]
+    pub arithmetic: Arithmetic,
+}
+
+fn is_usual(arithmetic: &Arithmetic) -> bool {
+    *arithmetic == Arithmetic::default()
 }
 
 impl SessionHeader {
@@ -56,6 +63,7 @@ impl SessionHeader {
             glisson: env!("CARGO_PKG_VERSION").into(),
             scene,
             mesh_hash,
+            arithmetic: Arithmetic::here(),
         }
     }
 }

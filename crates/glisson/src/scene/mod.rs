@@ -29,6 +29,7 @@ mod build_world;
 mod suture;
 mod task;
 mod spec;
+mod files;
 mod choice;
 
 pub use attachment::{AttachmentKind, AttachmentSource};

@@ -2,7 +2,7 @@
 
 use super::reader::{SceneError, Section};
 use super::shape::{ShapeSource, read_shape};
-use crate::math::{DQuat, DVec3};
+use crate::math::{DQuat, DVec3, rotation_about};
 use crate::model::rigid::{PathPose, RigidMotion};
 use crate::units::Dimension;
 
@@ -48,7 +48,7 @@ fn read_path(section: &mut Section<'_>) -> Result<Vec<PathPose>, SceneError> {
         let angle = pose.quantity("angle", Dimension::Angle)?;
         let rotation = match (axis, angle) {
             (None, None) => DQuat::IDENTITY,
-            (Some(axis), Some((angle_rad, _))) => DQuat::from_axis_angle(axis, angle_rad),
+            (Some(axis), Some((angle_rad, _))) => rotation_about(axis, angle_rad),
             (Some(_), None) => return Err(pose.missing("angle", "angle = \"30 deg\"")),
             (None, Some(_)) => return Err(pose.missing("axis", "axis = [0, 0, 1]")),
         };

@@ -86,7 +86,7 @@ pub(super) fn repulsion(distance_m: f64, radius_m: f64) -> [f64; 3] {
     if left <= 0.0 {
         return [f64::INFINITY, 0.0, 0.0];
     }
-    let (gap, log) = (left - from, (left / from).ln());
+    let (gap, log) = (left - from, libm::log(left / from));
     let k = REPULSION_N_PER_M;
     let value = -k * gap * gap * log;
     let slope = -k * (2.0 * gap * log + gap * gap / left);

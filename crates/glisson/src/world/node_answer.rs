@@ -90,7 +90,7 @@ impl Patch {
             return f64::NAN;
         }
         let own = DVec3::from_slice(&self.displacement[..3]).dot(outward);
-        let radius_m = (3.0 * volume_m3 / TAU).cbrt();
+        let radius_m = libm::cbrt(3.0 * volume_m3 / TAU);
         own * reduced_modulus_pa(tissue) + beyond(tissue.poisson_ratio()) / radius_m
     }
 }

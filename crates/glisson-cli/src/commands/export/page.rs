@@ -37,6 +37,14 @@ pub(super) struct PageOptions {
     check: bool,
 }
 
+impl PageOptions {
+    /// Whether nothing is asked of the page of a session.
+    pub(super) fn is_usual(&self) -> bool {
+        let Self { beside, rate, precision_mm, check } = self;
+        beside.is_none() && *rate == DEFAULT_RATE_HZ && *precision_mm == DEFAULT_PRECISION_MM && !check
+    }
+}
+
 fn precision_mm(text: &str) -> Result<f64, String> {
     let found: f64 = text.parse().map_err(|_| format!("\"{text}\" is no number"))?;
     if (0.001..=1.0).contains(&found) { Ok(found) } else { Err(format!("{found} is not in 0.001..=1")) }

@@ -34,7 +34,7 @@ pub(super) struct Contour<'a> {
 /// to cubic voxels of the same volume.
 pub(super) fn areas(grid: &VoxelGrid, values: &[f32], edge_hu: f32) -> Vec<f32> {
     let [n_i, n_j, n_k] = grid.dims;
-    let cube_m = grid.voxel_volume_m3().cbrt();
+    let cube_m = libm::cbrt(grid.voxel_volume_m3());
     let scale = grid.spacing_m.to_array().map(|s| (cube_m / s) as f32);
     let step = [1, n_i, n_i * n_j];
     let n = [n_i, n_j, n_k];
@@ -47,7 +47,7 @@ pub(super) fn areas(grid: &VoxelGrid, values: &[f32], edge_hu: f32) -> Vec<f32> 
                 .map(|a| scale[a] * (values[index + step[a]] - values[index]))
                 .map(|d| d * d)
                 .sum();
-            (-slope2.sqrt() / edge_hu).exp().max(LEAST_AREA)
+            libm::expf(-slope2.sqrt() / edge_hu).max(LEAST_AREA)
         })
         .collect()
 }

@@ -51,7 +51,7 @@ pub(super) fn belongs_outside(
             let after = (voxel[axis] + 1 < dims[axis]).then(|| index + step[axis]);
             for next in before.into_iter().chain(after).filter(|&next| mask[next]) {
                 let edge = ((smooth[next] - smooth[index]).abs() / edge_hu).min(5.0);
-                let way_um = way_um + (length_um[axis] * edge.exp()) as u64;
+                let way_um = way_um + (length_um[axis] * libm::expf(edge)) as u64;
                 if way_um < nearest[next].0 && (!outside || way_um < reach_um) {
                     nearest[next] = (way_um, outside);
                     front.push(Reverse((way_um, next)));

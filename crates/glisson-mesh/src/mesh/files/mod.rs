@@ -154,6 +154,16 @@ pub fn read_mesh(path: &Path) -> Result<(TetMesh, ImportReport), MeshFileError> 
     read_mesh_with(path, &ImportPolicy::default())
 }
 
+/// All files of the mesh that this one belongs to, as TetGen's are two: what [`read_mesh`] reads.
+pub fn files_of_mesh(path: &Path) -> Vec<PathBuf> {
+    match format_of_extension(&lower_extension(path)) {
+        Some(format) if format.n_files > 1 => {
+            format.extensions.iter().map(|e| path.with_extension(e)).collect()
+        }
+        _ => vec![path.to_owned()],
+    }
+}
+
 /// [`read_mesh`] with a length unit and a way to treat faults.
 ///
 /// # Errors
@@ -168,8 +178,7 @@ pub fn read_mesh_with(path: &Path, policy: &ImportPolicy) -> Result<(TetMesh, Im
     if format.n_files == 1 {
         return mesh_from_bytes(format, &[&load(path)?], policy, &path.display().to_string());
     }
-    let files: Vec<Vec<u8>> =
-        format.extensions.iter().map(|e| load(&path.with_extension(e))).collect::<Result<_, _>>()?;
+    let files: Vec<Vec<u8>> = files_of_mesh(path).iter().map(|path| load(path)).collect::<Result<_, _>>()?;
     let files: Vec<&[u8]> = files.iter().map(Vec::as_slice).collect();
     let all = format!("{{{}}}", format.extensions.join(","));
     mesh_from_bytes(format, &files, policy, &path.with_extension(all).display().to_string())

@@ -14,7 +14,7 @@
 use crate::model::LocalModel;
 use crate::model::kernel::{KernelPath, LaneBlock, LaneBlockWork};
 use crate::solve::{Factorization, FreeSystem, Supernode};
-use glisson_mesh::math::DMat3;
+use glisson_mesh::math::{DMat3, fused};
 use glisson_mesh::mesh::NodeId;
 use std::sync::Arc;
 
@@ -322,7 +322,7 @@ fn solve_triangle<V: LaneBlock>(zero: V, supernode: &Supernode<'_>, own: &mut [C
                 let column = &values[(first + i) * n_rows + first..][..n];
                 x[i] /= column[i];
                 for below in i + 1..n {
-                    x[below] = (-column[below]).mul_add(x[i], x[below]);
+                    x[below] = fused(-column[below], x[i], x[below]);
                 }
             }
         }

@@ -3,8 +3,9 @@
 //! As in `lanes`, a multiplication followed by an addition is one fused operation, rounded once. Sums over the lanes have a
 //! fixed order.
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(any(target_arch = "x86_64", target_arch = "wasm32"))]
 use fearless_simd::{Simd, f64x8, prelude::*};
+use glisson_mesh::math::fused;
 
 /// LaneBlock numbers; lanes mix only in [`LaneBlock::sum`].
 pub(in crate::model) trait LaneBlock: Copy {
@@ -53,11 +54,11 @@ impl LaneBlock for [f64; 8] {
     }
     #[inline(always)]
     fn fused(self, factor: Self, term: Self) -> Self {
-        std::array::from_fn(|i| self[i].mul_add(factor[i], term[i]))
+        std::array::from_fn(|i| fused(self[i], factor[i], term[i]))
     }
 }
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(any(target_arch = "x86_64", target_arch = "wasm32"))]
 impl<S: Simd> LaneBlock for f64x8<S> {
     #[inline(always)]
     fn constant(self, value: f64) -> Self {
@@ -77,6 +78,9 @@ impl<S: Simd> LaneBlock for f64x8<S> {
     }
     #[inline(always)]
     fn fused(self, factor: Self, term: Self) -> Self {
+        #[cfg(target_arch = "wasm32")]
+        return self.mul_add(factor, term);
+        #[cfg(not(target_arch = "wasm32"))]
         self.mul_add_precise(factor, term)
     }
 }

@@ -2,11 +2,17 @@
 //!
 //! Every multiplication followed by an addition is written as one fused operation, so that a lane gives the
 //! same bits whether it is a `f64` or a part of a vector, and whether the processor fuses in hardware or not.
-//! Sums, products, quotients and fused operations are rounded as IEEE 754 says, on every path.
+//! Sums, products, quotients and fused operations are rounded as IEEE 754 says, on every path; but for browsers without that
+//! operation, whose class of [`Arithmetic`](glisson_mesh::math::Arithmetic) rounds product and sum.
 
-use fearless_simd::{Simd, f64x4, f64x8, prelude::*};
+#[cfg(target_arch = "wasm32")]
+use fearless_simd::f64x2;
+use fearless_simd::{Simd, prelude::*};
+#[cfg(not(target_arch = "wasm32"))]
+use fearless_simd::{f64x4, f64x8};
 
 use super::rows::{LaneNumbers, N_LANES};
+use glisson_mesh::math::fused;
 
 /// Numbers in lanes, which never mix.
 pub(super) trait Lanes: Copy {
@@ -70,7 +76,7 @@ impl Lanes for f64 {
     }
     #[inline(always)]
     fn fused(self, factor: Self, term: Self) -> Self {
-        self.mul_add(factor, term)
+        fused(self, factor, term)
     }
     #[inline(always)]
     fn chosen(self, bits: u32, otherwise: Self) -> Self {
@@ -91,7 +97,7 @@ impl Lanes for f64 {
 }
 
 macro_rules! vector_lanes {
-    ($vector:ident, $count:literal) => {
+    ($vector:ident, $count:literal, $fused:ident) => {
         impl<S: Simd> Lanes for $vector<S> {
             const COUNT: usize = $count;
             #[inline(always)]
@@ -124,7 +130,7 @@ macro_rules! vector_lanes {
             }
             #[inline(always)]
             fn fused(self, factor: Self, term: Self) -> Self {
-                self.mul_add_precise(factor, term)
+                self.$fused(factor, term)
             }
             #[inline(always)]
             fn chosen(self, bits: u32, otherwise: Self) -> Self {
@@ -146,8 +152,13 @@ macro_rules! vector_lanes {
     };
 }
 
-vector_lanes!(f64x4, 4);
-vector_lanes!(f64x8, 8);
+// In WebAssembly's class.
+#[cfg(target_arch = "wasm32")]
+vector_lanes!(f64x2, 2, mul_add);
+#[cfg(not(target_arch = "wasm32"))]
+vector_lanes!(f64x4, 4, mul_add_precise);
+#[cfg(not(target_arch = "wasm32"))]
+vector_lanes!(f64x8, 8, mul_add_precise);
 
 /// 1/3, 1/5, ..., 1/23: the coefficients of atanh(s)/s - 1 in powers of s^2.
 const ATANH: [f64; 11] = [

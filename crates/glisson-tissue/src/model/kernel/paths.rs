@@ -5,12 +5,16 @@
 
 #[cfg(target_arch = "x86_64")]
 use fearless_simd::{Avx2, Avx512, Level, Simd, f64x4, f64x8, prelude::*, u8x32, u8x64};
+#[cfg(target_arch = "wasm32")]
+use fearless_simd::{Level, WasmSimd128, f64x2, f64x8, prelude::*, u8x16};
 
 use super::element::{At, corner_forces, displacement_gradient};
 use super::extras::Stress;
 use super::lane_block::LaneBlockWork;
 use super::lanes::Lanes;
-use super::rows::{Block, LaneNumbers, N_LANES, Rows};
+#[cfg(any(target_arch = "x86_64", target_arch = "wasm32"))]
+use super::rows::LaneNumbers;
+use super::rows::{Block, N_LANES, Rows};
 
 /// Work on rows of numbers, written once for any number of lanes.
 pub(super) trait LaneWork {
@@ -26,6 +30,8 @@ trait PathWork {
     fn in_eights(self, simd: Avx512) -> Self::Output;
     #[cfg(target_arch = "x86_64")]
     fn in_fours(self, simd: Avx2) -> Self::Output;
+    #[cfg(target_arch = "wasm32")]
+    fn in_twos(self, simd: WasmSimd128) -> Self::Output;
     fn one_by_one(self) -> Self::Output;
 }
 
@@ -44,6 +50,12 @@ impl<W: LaneWork> PathWork for InLanes<W> {
     #[inline(always)]
     fn in_fours(self, simd: Avx2) {
         self.0.run(f64x4::splat(simd, 0.0));
+    }
+
+    #[cfg(target_arch = "wasm32")]
+    #[inline(always)]
+    fn in_twos(self, simd: WasmSimd128) {
+        self.0.run(f64x2::splat(simd, 0.0));
     }
 
     #[inline(always)]
@@ -70,6 +82,13 @@ impl<W: LaneBlockWork> PathWork for ByEight<W> {
         self.0.run(f64x8::splat(simd, 0.0))
     }
 
+    /// LaneBlock numbers in four vectors.
+    #[cfg(target_arch = "wasm32")]
+    #[inline(always)]
+    fn in_twos(self, simd: WasmSimd128) -> W::Output {
+        self.0.run(f64x8::splat(simd, 0.0))
+    }
+
     #[inline(always)]
     fn one_by_one(self) -> W::Output {
         self.0.run([0.0; 8])
@@ -88,6 +107,8 @@ enum Path {
     Avx2(Avx2),
     #[cfg(target_arch = "x86_64")]
     Scalar(Avx2),
+    #[cfg(target_arch = "wasm32")]
+    Wasm(WasmSimd128),
     Portable,
 }
 
@@ -106,6 +127,8 @@ impl KernelPath {
             paths.extend(level.as_avx2().map(Path::Avx2));
             paths.extend(level.as_avx2().map(Path::Scalar));
         }
+        #[cfg(target_arch = "wasm32")]
+        paths.extend(Level::new().as_wasm_simd128().map(Path::Wasm));
         paths.push(Path::Portable);
         paths.into_iter().map(Self).collect()
     }
@@ -120,7 +143,7 @@ impl KernelPath {
         Self::available().into_iter().find(|path| path.name() == name)
     }
 
-    /// `avx512`, `avx2`, `scalar` or `portable`.
+    /// `avx512`, `avx2`, `scalar`, `wasm` or `portable`.
     pub fn name(self) -> &'static str {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
@@ -129,6 +152,8 @@ impl KernelPath {
             Path::Avx2(_) => "avx2",
             #[cfg(target_arch = "x86_64")]
             Path::Scalar(_) => "scalar",
+            #[cfg(target_arch = "wasm32")]
+            Path::Wasm(_) => "wasm",
             Path::Portable => "portable",
         }
     }
@@ -164,6 +189,8 @@ impl KernelPath {
                 #[inline(always)]
                 || work.one_by_one(),
             ),
+            #[cfg(target_arch = "wasm32")]
+            Path::Wasm(simd) => work.in_twos(simd),
             Path::Portable => work.one_by_one(),
         }
     }
@@ -176,6 +203,8 @@ impl KernelPath {
             Path::Avx512(simd) => simd.vectorize(work),
             #[cfg(target_arch = "x86_64")]
             Path::Avx2(simd) | Path::Scalar(simd) => simd.vectorize(work),
+            #[cfg(target_arch = "wasm32")]
+            Path::Wasm(_) => work(),
             Path::Portable => work(),
         }
     }
@@ -205,6 +234,12 @@ impl<S: Stress> PathWork for AddForces<'_, S> {
     #[inline(always)]
     fn in_fours(self, simd: Avx2) {
         add_by_four(simd, self.stress, self.blocks, self.rows);
+    }
+
+    #[cfg(target_arch = "wasm32")]
+    #[inline(always)]
+    fn in_twos(self, simd: WasmSimd128) {
+        add_by_two(simd, self.stress, self.blocks, self.rows);
     }
 
     #[inline(always)]
@@ -511,6 +546,53 @@ fn transposed(simd: Avx2, rows: [f64x4<Avx2>; 4]) -> [f64x4<Avx2>; 4] {
     let [a, b, c, d] = rows;
     let (a, b, c, d) = transpose(simd, a.into(), b.into(), c.into(), d.into());
     [a.simd_into(simd), b.simd_into(simd), c.simd_into(simd), d.simd_into(simd)]
+}
+
+/// Two lanes in a vector.
+#[cfg(target_arch = "wasm32")]
+#[inline(always)]
+fn add_by_two(simd: WasmSimd128, stress: &mut impl Stress, blocks: &[Block], rows: &mut Rows) {
+    let zero = f64x2::splat(simd, 0.0);
+    // x and y, then z and a zero.
+    let halves = |bytes: &[u8; 32]| -> [f64x2<WasmSimd128>; 2] {
+        [0, 16].map(|at| u8x16::from_slice(simd, &bytes[at..at + 16]).bitcast())
+    };
+    for (i, block) in blocks.iter().enumerate() {
+        for lane in (0..N_LANES).step_by(2) {
+            let at = [&block.offsets[lane], &block.offsets[lane + 1]];
+            let corner = |k: usize| {
+                let [[xy, z], [xy1, z1]] = at.map(|at| halves(rows.displacement(at[k])));
+                [xy.zip_low(xy1), xy.zip_high(xy1), z.zip_low(z1)]
+            };
+            let first = corner(0);
+            let edge = |k: usize| {
+                let corner = corner(k + 1);
+                [corner[0] - first[0], corner[1] - first[1], corner[2] - first[2]]
+            };
+            let d = [edge(0), edge(1), edge(2)];
+            let alpha = &block.alpha_per_m;
+            let load = |numbers: &LaneNumbers| f64x2::from_slice(simd, &numbers[lane..lane + 2]);
+            let gradient = |k: usize| [load(&alpha[k][0]), load(&alpha[k][1]), load(&alpha[k][2])];
+            let alpha = [gradient(0), gradient(1), gradient(2)];
+            let material = [load(&block.material[0]), load(&block.material[1])];
+            let g = displacement_gradient(&d, &alpha);
+            let [f1, f2, f3] =
+                corner_forces(&stress.scaled_stress(&g, material, At { block: i, lane }), &alpha);
+            let sum = |axis: usize| f1[axis] + f2[axis] + f3[axis];
+            let corners = [[-sum(0), -sum(1), -sum(2)], f1, f2, f3];
+            // Lane after lane, for two may share a node.
+            for (in_lane, at) in at.into_iter().enumerate() {
+                for (offset, [x, y, z]) in at.iter().zip(corners) {
+                    let xy = if in_lane == 0 { x.zip_low(y) } else { x.zip_high(y) };
+                    let z = if in_lane == 0 { z.zip_low(zero) } else { z.zip_high(zero) };
+                    let bytes = rows.force_mut(*offset);
+                    let [old_xy, old_z] = halves(bytes);
+                    (old_xy + xy).bitcast::<u8x16<WasmSimd128>>().store_slice(&mut bytes[..16]);
+                    (old_z + z).bitcast::<u8x16<WasmSimd128>>().store_slice(&mut bytes[16..]);
+                }
+            }
+        }
+    }
 }
 
 /// One lane after the other, without vectors: on `scalar`, where it serves to compare, its instructions are scalar ones,

@@ -22,7 +22,7 @@ use super::pairs::Pairs;
 use super::table::{Numbers, Table};
 use crate::model::bounded_vec::BoundedVec;
 use crate::model::kernel::{KernelPath, LaneBlock, LaneBlockWork};
-use glisson_mesh::math::{DMat3, DVec3};
+use glisson_mesh::math::{DMat3, DVec3, fused};
 
 /// Points at most.
 pub(super) const MOST_POINTS: usize = 64;
@@ -536,7 +536,7 @@ fn solve_factored<V: LaneBlock>(
             let (of_column, lane) = (&column(j0 + t)[own], j0 % 8 + t);
             let mut left = right[own][lane] - sums[t];
             for i in lane + 1..8 {
-                left = (-of_column[i]).mul_add(right[own][i], left);
+                left = fused(-of_column[i], right[own][i], left);
             }
             right[own][lane] = left * inverse[j0 + t];
         }

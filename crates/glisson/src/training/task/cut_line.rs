@@ -83,7 +83,7 @@ impl CutLine {
             let least_m = if nth == 0 && !self.is_closed { f64::NEG_INFINITY } else { 0.0 };
             let most_m = if nth == last && !self.is_closed { f64::INFINITY } else { piece.length_m };
             let on_piece_m = along_m.clamp(least_m, most_m);
-            let off_m = (along_m - on_piece_m).hypot(from_m.dot(piece.beside));
+            let off_m = libm::hypot(along_m - on_piece_m, from_m.dot(piece.beside));
             AtLine { piece: nth, along_m: piece.begins_m + on_piece_m, off_m }
         };
         let places = self.pieces.iter().enumerate().map(at);

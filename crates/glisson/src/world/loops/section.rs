@@ -28,7 +28,7 @@ pub(super) struct Crossing {
 
 impl Crossing {
     fn radius_m(&self) -> f64 {
-        self.in_plane_m[0].hypot(self.in_plane_m[1])
+        libm::hypot(self.in_plane_m[0], self.in_plane_m[1])
     }
 }
 
@@ -207,7 +207,7 @@ fn cut(nodes: [NodeId; 3], (ring, positions_m): (&Ring, &[DVec3]), crossings: &m
 }
 
 fn distance([ax, ay]: [f64; 2], [bx, by]: [f64; 2]) -> f64 {
-    (ax - bx).hypot(ay - by)
+    libm::hypot(ax - bx, ay - by)
 }
 
 /// Corners of the convex hull of points, counter-clockwise (A. M. Andrew 1979, doi 10.1016/0020-0190(79)90072-3). Sorts the points.

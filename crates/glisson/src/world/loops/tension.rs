@@ -78,7 +78,7 @@ impl ClosedThread {
         let mut length_m = 0.0;
         for corner in 0..n {
             let side_m = self.side_m(corner);
-            let smoothed_m = side_m.length().hypot(smooth_m);
+            let smoothed_m = libm::hypot(side_m.length(), smooth_m);
             length_m += smoothed_m;
             let along = if smoothed_m > 0.0 { side_m / smoothed_m } else { DVec3::ZERO };
             self.gradients[corner] += along;
@@ -161,7 +161,7 @@ impl ClosedThread {
         for corner in 0..n {
             // The side to it: d2P of its two ends is this, with the other sign between them.
             let side_m = self.side_m(corner);
-            let smoothed_m = side_m.length().hypot(smooth_m);
+            let smoothed_m = libm::hypot(side_m.length(), smooth_m);
             let along = side_m / smoothed_m;
             let stiffness = (DMat3::IDENTITY - outer(along, along)) * (tension_n / smoothed_m);
             let ends = [(corner + n - 1) % n, corner];

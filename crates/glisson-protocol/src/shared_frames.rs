@@ -1,22 +1,22 @@
 //! The newest state as frames, each made once for all viewers that want it.
 
-use super::frames::{coded_snapshot_frame, key_frame, snapshot_frame, topology_frame};
-use super::inside::InsideView;
-use super::positions::{CodedPositions, Key, PositionCoder};
-use axum::body::Bytes;
+use crate::frames::{coded_snapshot_frame, key_frame, snapshot_frame, topology_frame};
+use crate::inside::InsideView;
+use crate::positions::{CodedPositions, Key, PositionCoder};
+use bytes::Bytes;
 use glisson_runtime::published::Published;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// What a viewer is sent of a state.
-pub(super) struct Frames {
+pub(crate) struct Frames {
     /// Where the snapshot's positions are differences from; none where they are whole.
-    pub(super) key: Option<Key>,
-    pub(super) snapshot: Bytes,
+    pub(crate) key: Option<Key>,
+    pub(crate) snapshot: Bytes,
 }
 
 /// Makes frames when the first viewer asks for them.
 #[derive(Default)]
-pub(super) struct SharedFrames(Mutex<Maker>);
+pub(crate) struct SharedFrames(Mutex<Maker>);
 
 #[derive(Default)]
 struct Maker {
@@ -39,7 +39,7 @@ impl SharedFrames {
     }
 
     /// The TOPOLOGY frame.
-    pub(super) fn topology(&self, state: &Published) -> Bytes {
+    pub(crate) fn topology(&self, state: &Published) -> Bytes {
         let version = state.topology.version;
         self.with(|maker| match &maker.topology {
             Some((of, frame)) if *of == version => frame.clone(),
@@ -52,7 +52,7 @@ impl SharedFrames {
     }
 
     /// The SNAPSHOT frame, with contact points for who looks at them. With `inside` it is for one viewer alone, and made each time.
-    pub(super) fn snapshot(
+    pub(crate) fn snapshot(
         &self,
         state: &Arc<Published>,
         with_contacts: bool,

@@ -1,7 +1,7 @@
 //! The binary frames of the viewer's protocol (`docs/protocol.md`), little endian.
 
-use super::inside::InsideView;
-use super::positions::{CodedPositions, STEP_M};
+use crate::inside::InsideView;
+use crate::positions::{CodedPositions, STEP_M};
 use glisson::math::DVec3;
 use glisson::record::snapshot::{ClipSnapshot, ContactPoints, DisplayTopology, Snapshot, ThreadSnapshot};
 pub use glisson_runtime::pace::Pace;
@@ -21,10 +21,10 @@ const FLAG_STRANDS: u32 = 128;
 const FLAG_CLIPS: u32 = 256;
 const FLAG_ODD_RESETS: u32 = 512;
 /// Where a SNAPSHOT frame says how many vertices it has.
-pub(crate) const N_VERTICES_AT: usize = 56;
+pub const N_VERTICES_AT: usize = 56;
 
 /// Where the positions of a SNAPSHOT frame begin.
-pub(crate) fn first_position(n_tools: usize) -> usize {
+pub fn first_position(n_tools: usize) -> usize {
     64 + 152 * n_tools
 }
 
@@ -110,7 +110,7 @@ pub fn topology_frame(topology: &DisplayTopology) -> Vec<u8> {
 }
 
 /// A KEY frame: `places` as [`PositionCoder`](super::positions::PositionCoder) writes them.
-pub(super) fn key_frame(topology_version: u32, number: u32, snapshot: &Snapshot, places: &[u8]) -> Vec<u8> {
+pub(crate) fn key_frame(topology_version: u32, number: u32, snapshot: &Snapshot, places: &[u8]) -> Vec<u8> {
     let mut frame = FrameWriter::new(KIND_KEY, topology_version);
     frame.u32s(&[number, snapshot.positions_m.len() as u32]);
     frame.f64s(&[STEP_M]);
@@ -129,7 +129,7 @@ pub fn snapshot_frame(
 }
 
 /// The same with positions that are differences from a key.
-pub(super) fn coded_snapshot_frame(
+pub(crate) fn coded_snapshot_frame(
     snapshot: &Snapshot,
     pace: &Pace,
     contacts: Option<&ContactPoints>,

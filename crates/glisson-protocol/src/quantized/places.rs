@@ -3,10 +3,10 @@
 use glisson::math::DVec3;
 
 /// A place in whole steps.
-pub(crate) type Place = [i32; 3];
+pub type Place = [i32; 3];
 
 /// The nearest place; none for what is no number or too far away.
-pub(crate) fn place_of(point_m: DVec3, step_m: f64) -> Option<Place> {
+pub fn place_of(point_m: DVec3, step_m: f64) -> Option<Place> {
     let steps = (point_m / step_m).round();
     // Differences of two, and of such differences, are still numbers of 32 bits.
     const FURTHEST: f64 = (1 << 28) as f64;

@@ -2,9 +2,9 @@
 //!
 //! A difference is from the key and not from the frame before, so that a viewer may miss any frame: what is made once serves all.
 
-use crate::quantized::numbers::{put, put_signed};
+use crate::quantized::numbers::{TakeError, Taker, put, put_signed};
 use crate::quantized::places::{Place, place_of};
-use axum::body::Bytes;
+use bytes::Bytes;
 use glisson::record::snapshot::Snapshot;
 
 /// Positions are whole numbers of it [m]; each coordinate is off by half of it at most. A choice: a fortieth of what a pixel
@@ -13,24 +13,24 @@ pub const STEP_M: f64 = 5e-6;
 
 /// Positions that differences are from.
 #[derive(Clone, Debug)]
-pub(super) struct Key {
+pub(crate) struct Key {
     /// No two keys of a server have the same.
-    pub(super) number: u32,
+    pub(crate) number: u32,
     /// Its KEY frame.
-    pub(super) frame: Bytes,
+    pub(crate) frame: Bytes,
 }
 
 /// The positions of a snapshot, by one key.
 #[derive(Clone, Debug)]
-pub(super) struct CodedPositions {
-    pub(super) key: Key,
+pub(crate) struct CodedPositions {
+    pub(crate) key: Key,
     /// What [`put_differences`] writes.
-    pub(super) bytes: Vec<u8>,
+    pub(crate) bytes: Vec<u8>,
 }
 
 /// Makes them, snapshot by snapshot.
 #[derive(Debug, Default)]
-pub(super) struct PositionCoder {
+pub(crate) struct PositionCoder {
     last_number: u32,
     current: Option<Current>,
 }
@@ -48,7 +48,7 @@ struct Current {
 
 impl PositionCoder {
     /// None if a place is no number or too far away for whole steps.
-    pub(super) fn code(
+    pub(crate) fn code(
         &mut self,
         snapshot: &Snapshot,
         frame_of_key: impl FnOnce(u32, &[u8]) -> Vec<u8>,
@@ -116,44 +116,49 @@ fn put_differences(out: &mut Vec<u8>, key: &[Place], places: &[Place]) {
     }
 }
 
+/// The places of a KEY frame of `n` vertices, for who reads frames.
+///
+/// # Errors
+/// When the bytes end, or hold no such numbers.
+pub fn take_key(from: &mut Taker, n: usize) -> Result<Vec<Place>, TakeError> {
+    let mut place = [0; 3];
+    (0..n)
+        .map(|_| {
+            for x in &mut place {
+                *x += from.signed()?;
+            }
+            Ok(place)
+        })
+        .collect()
+}
+
+/// The places of a SNAPSHOT frame whose positions are differences from those of `key`.
+///
+/// # Errors
+/// When the bytes end, or hold no such numbers.
+pub fn take_places(from: &mut Taker, key: &[Place]) -> Result<Vec<Place>, TakeError> {
+    let mut places = key.to_vec();
+    let mut at = 0;
+    while at < places.len() {
+        at += from.number()? as usize;
+        let n_moved = from.number()? as usize;
+        let mut way = [0; 3];
+        for place in places.iter_mut().skip(at).take(n_moved) {
+            for k in 0..3 {
+                way[k] += from.signed()?;
+                place[k] += way[k];
+            }
+        }
+        at += n_moved;
+    }
+    Ok(places)
+}
+
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
-    use crate::quantized::numbers::{TakeError, Taker};
     use glisson::math::DVec3;
     use proptest::prelude::*;
-
-    /// What [`differences_along`] wrote.
-    pub(crate) fn take_key(from: &mut Taker, n: usize) -> Result<Vec<Place>, TakeError> {
-        let mut place = [0; 3];
-        (0..n)
-            .map(|_| {
-                for x in &mut place {
-                    *x += from.signed()?;
-                }
-                Ok(place)
-            })
-            .collect()
-    }
-
-    /// What [`put_differences`] wrote.
-    pub(crate) fn take_places(from: &mut Taker, key: &[Place]) -> Result<Vec<Place>, TakeError> {
-        let mut places = key.to_vec();
-        let mut at = 0;
-        while at < places.len() {
-            at += from.number()? as usize;
-            let n_moved = from.number()? as usize;
-            let mut way = [0; 3];
-            for place in &mut places[at..at + n_moved] {
-                for k in 0..3 {
-                    way[k] += from.signed()?;
-                    place[k] += way[k];
-                }
-            }
-            at += n_moved;
-        }
-        Ok(places)
-    }
 
     fn snapshot(topology_version: u32, positions_m: Vec<DVec3>) -> Snapshot {
         Snapshot {

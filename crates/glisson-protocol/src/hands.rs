@@ -12,12 +12,12 @@ use std::time::Duration;
 const HOMING_PERIODS: f64 = 5.0;
 
 /// How long the simulation waits after a reset when a page holds instruments in a loop of so many ticks a second.
-pub(super) fn homing(rate_hz: f64) -> Duration {
+pub fn homing(rate_hz: f64) -> Duration {
     Duration::from_secs_f64(HOMING_PERIODS / rate_hz)
 }
 
 /// One for each instrument that a page holds. The loop is at the other ends: it never waits for these locks.
-pub(super) struct Hands {
+pub struct Hands {
     held: Vec<(usize, Mutex<PageHand>)>,
     /// Told about instrument 0, which it does not hold.
     beside: Option<Mutex<PageHand>>,
@@ -25,20 +25,21 @@ pub(super) struct Hands {
 
 /// What a hand would feel.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct FeltBy {
+pub(crate) struct FeltBy {
     /// Number of the instrument.
-    pub(super) tool: usize,
-    pub(super) felt: glisson_runtime::page_hand::Felt,
+    pub(crate) tool: usize,
+    pub(crate) felt: glisson_runtime::page_hand::Felt,
 }
 
 impl Hands {
-    pub(super) fn new(held: Vec<(usize, PageHand)>, beside: Option<PageHand>) -> Self {
+    /// Those of instruments, by their numbers; `beside`: one that is told the same as instrument 0's, for tests.
+    pub fn new(held: Vec<(usize, PageHand)>, beside: Option<PageHand>) -> Self {
         let held = held.into_iter().map(|(tool, hand)| (tool, Mutex::new(hand))).collect();
         Self { held, beside: beside.map(Mutex::new) }
     }
 
     /// Whether no page holds an instrument as a device.
-    pub(super) fn is_empty(&self) -> bool {
+    pub fn is_empty(&self) -> bool {
         self.held.is_empty() && self.beside.is_none()
     }
 
@@ -51,7 +52,7 @@ impl Hands {
     }
 
     /// Whether a command of the one in control is for a hand alone; then it has it.
-    pub(super) fn take(&self, command: &Command) -> bool {
+    pub fn take(&self, command: &Command) -> bool {
         let mut is_taken = false;
         self.each(|tool, hand| match command {
             Command::Tool { tool: meant, pose } if *meant == tool => {
@@ -65,14 +66,14 @@ impl Hands {
     }
 
     /// Who steers now: a hand is one of a page, or of nobody.
-    pub(super) fn are_of(&self, steers: &Steers) {
+    pub fn are_of(&self, steers: &Steers) {
         self.each(|tool, hand| {
             hand.set_controlled(steers.holder(tool).is_some_and(|viewer| viewer.has_page));
         });
     }
 
     /// What they feel now.
-    pub(super) fn felt(&self) -> Vec<FeltBy> {
+    pub(crate) fn felt(&self) -> Vec<FeltBy> {
         let mut all = Vec::with_capacity(self.held.len());
         self.each(|tool, hand| all.push(FeltBy { tool, felt: hand.felt() }));
         all

@@ -2,7 +2,7 @@
 
 /// Why bytes are not what was put there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum TakeError {
+pub enum TakeError {
     /// Bytes are missing.
     Ends,
     /// A number has more than 32 bits.
@@ -10,7 +10,7 @@ pub(crate) enum TakeError {
 }
 
 /// Appends `x`.
-pub(crate) fn put(out: &mut Vec<u8>, mut x: u32) {
+pub fn put(out: &mut Vec<u8>, mut x: u32) {
     while x >= 0x80 {
         out.push(x as u8 | 0x80);
         x >>= 7;
@@ -19,28 +19,28 @@ pub(crate) fn put(out: &mut Vec<u8>, mut x: u32) {
 }
 
 /// Appends `x`, small sizes short.
-pub(crate) fn put_signed(out: &mut Vec<u8>, x: i32) {
+pub fn put_signed(out: &mut Vec<u8>, x: i32) {
     put(out, ((x << 1) ^ (x >> 31)) as u32);
 }
 
 /// Takes from the front of bytes that may be anything.
-pub(crate) struct Taker<'a>(pub(crate) &'a [u8]);
+pub struct Taker<'a>(pub &'a [u8]);
 
 impl<'a> Taker<'a> {
     /// The next `n` bytes.
-    pub(crate) fn bytes(&mut self, n: usize) -> Result<&'a [u8], TakeError> {
+    pub fn bytes(&mut self, n: usize) -> Result<&'a [u8], TakeError> {
         let (taken, rest) = self.0.split_at_checked(n).ok_or(TakeError::Ends)?;
         self.0 = rest;
         Ok(taken)
     }
 
     /// The next byte.
-    pub(crate) fn byte(&mut self) -> Result<u8, TakeError> {
+    pub fn byte(&mut self) -> Result<u8, TakeError> {
         self.bytes(1).map(|bytes| bytes[0])
     }
 
     /// What [`put`] wrote.
-    pub(crate) fn number(&mut self) -> Result<u32, TakeError> {
+    pub fn number(&mut self) -> Result<u32, TakeError> {
         let mut x = 0;
         for shift in [0, 7, 14, 21, 28] {
             let byte = self.byte()?;
@@ -57,7 +57,7 @@ impl<'a> Taker<'a> {
     }
 
     /// What [`put_signed`] wrote.
-    pub(crate) fn signed(&mut self) -> Result<i32, TakeError> {
+    pub fn signed(&mut self) -> Result<i32, TakeError> {
         self.number().map(|x| (x >> 1) as i32 ^ -((x & 1) as i32))
     }
 }

@@ -7,41 +7,43 @@ use glisson_runtime::watchers::Watcher;
 
 /// What a viewer looks at.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Look {
-    pub(super) field: Field,
+pub struct Look {
+    /// What is painted on the surface.
+    pub field: Field,
     /// Cuts the bodies open for the eye.
-    pub(super) plane: Option<Plane>,
-    pub(super) energies: bool,
+    pub plane: Option<Plane>,
+    /// Energies of the whole.
+    pub energies: bool,
 }
 
 impl Look {
-    pub(super) fn is_at_nothing(&self) -> bool {
+    pub(crate) fn is_at_nothing(&self) -> bool {
         *self == Self::default()
     }
 }
 
 /// A look, and what keeps the inside gathered as long as it lasts.
-pub(super) struct Looker {
-    pub(super) look: Look,
-    pub(super) _watcher: Watcher,
+pub(crate) struct Looker {
+    pub(crate) look: Look,
+    pub(crate) _watcher: Watcher,
 }
 
 /// What is sent of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InsideView {
     /// 0 none, 1 strain, 2 stress, 3 quality.
-    pub(super) field: u32,
+    pub(crate) field: u32,
     /// Kinetic, elastic, and in the springs of hands [J].
-    pub(super) energies_j: [f64; 3],
+    pub(crate) energies_j: [f64; 3],
     /// At the displayed vertices; none without a field.
-    pub(super) at_vertices: Vec<f32>,
+    pub(crate) at_vertices: Vec<f32>,
     /// Corners of the triangles of the section, with the values there.
-    pub(super) section: Vec<(DVec3, f64)>,
+    pub(crate) section: Vec<(DVec3, f64)>,
 }
 
 impl InsideView {
     /// What `look` shows of a state; none where nobody gathered it.
-    pub(super) fn of(look: &Look, published: &Published) -> Option<Self> {
+    pub(crate) fn of(look: &Look, published: &Published) -> Option<Self> {
         let inside = published.inside.as_deref()?;
         let at_nodes = inside.interior.at_nodes(look.field, &inside.positions_m);
         let at = |node: &glisson::mesh::NodeId| at_nodes.get(node.index()).map_or(0.0, |value| *value as f32);

@@ -1,8 +1,8 @@
 //! The JSON messages of the viewer's protocol.
 
-use super::class::{ClassWish, LONGEST_NAME, Present};
-use super::hands::FeltBy;
-use super::inside::Look;
+use crate::class::{ClassWish, LONGEST_NAME, Present};
+use crate::hands::FeltBy;
+use crate::inside::Look;
 use glisson::math::{Aabb, DVec3};
 use glisson::model::kind::{MODELS, ModelKind};
 use glisson::record::inside::{Field, Plane};
@@ -15,9 +15,9 @@ use glisson::tool::{Tool, ToolInput};
 use glisson::training::task::TaskStatus;
 use glisson::world::spec::BodySpec;
 use glisson_runtime::control::{Holder, Steers, Viewer};
-use glisson_runtime::devices::viewer::GREATEST_FORCE_N;
 use glisson_runtime::haptic_loop::{HapticReport, ToolLink};
 use glisson_runtime::live::Command;
+use glisson_runtime::page_hand::GREATEST_FORCE_N;
 use glisson_runtime::published::Published;
 use glisson_runtime::{Notice, ParameterState, Parameters, Simulation, Turn};
 use serde::Deserialize;
@@ -26,7 +26,7 @@ use serde_json::{Value, json};
 const PROTOCOL: u32 = 12;
 
 /// The first message on a connection.
-pub(crate) fn hello(simulation: &Simulation) -> Value {
+pub fn hello(simulation: &Simulation) -> Value {
     let world = simulation.world();
     let (spec, organ) = (world.spec(), world.organ());
     let bounds = Aabb::of_points(&organ.mesh().positions_m);
@@ -56,7 +56,7 @@ pub(crate) fn hello(simulation: &Simulation) -> Value {
 }
 
 /// Which device holds which instrument.
-pub(super) fn devices<'a>(links: impl Iterator<Item = &'a ToolLink>) -> Value {
+pub fn devices<'a>(links: impl Iterator<Item = &'a ToolLink>) -> Value {
     links.map(|link| json!({ "tool": link.tool, "name": link.device_name })).collect()
 }
 
@@ -100,14 +100,14 @@ fn described(tool: &Tool) -> Value {
 }
 
 /// `hello` after another model took over.
-pub(super) fn hello_with_model(hello: &Value, model: ModelKind) -> Value {
+pub(crate) fn hello_with_model(hello: &Value, model: ModelKind) -> Value {
     let mut changed = hello.clone();
     changed["scene"]["model"] = model.name().into();
     changed
 }
 
 /// The latest displayed state in full precision.
-pub(super) fn snapshot(published: &Published) -> Value {
+pub fn snapshot(published: &Published) -> Value {
     let Published { snapshot, topology, .. } = published;
     let list = |points: &[DVec3]| points.iter().map(|p| p.to_array()).collect::<Vec<_>>();
     json!({
@@ -177,7 +177,7 @@ fn tool_state(tool: &ToolSnapshot) -> Value {
 }
 
 /// What a hand would feel that a page holds.
-pub(super) fn feel(all: &[FeltBy]) -> Value {
+pub(crate) fn feel(all: &[FeltBy]) -> Value {
     let hand = |FeltBy { tool, felt }: &FeltBy| json!({ "tool": tool, "force_n": felt.force_n.to_array(), "is_held": felt.is_held });
     json!({
         "type": "feel",
@@ -187,23 +187,23 @@ pub(super) fn feel(all: &[FeltBy]) -> Value {
 }
 
 /// What is wrong, for the page to show.
-pub(super) fn error(message: &str) -> Value {
+pub fn error(message: &str) -> Value {
     json!({ "type": "error", "message": message })
 }
 
 /// What the user should know, for the page to show.
-pub(super) fn notice(notice: &Notice) -> Value {
+pub(crate) fn notice(notice: &Notice) -> Value {
     let kind = if notice.is_problem { "error" } else { "news" };
     json!({ "type": kind, "message": notice.text })
 }
 
 /// How far the task is; none when it cannot be done any more.
-pub(super) fn task(status: Option<&TaskStatus>) -> Value {
+pub(crate) fn task(status: Option<&TaskStatus>) -> Value {
     json!({ "type": "task", "status": status })
 }
 
 /// Whether this viewer controls, whether anybody does, and who has each instrument in the hand.
-pub(super) fn role(steers: &Steers, viewer: Viewer) -> Value {
+pub(crate) fn role(steers: &Steers, viewer: Viewer) -> Value {
     let role = if steers.controller == Some(viewer) { "controller" } else { "viewer" };
     let held = |holder: &Holder| match holder {
         Holder::Controller => "controller",
@@ -220,7 +220,7 @@ pub(super) fn role(steers: &Steers, viewer: Viewer) -> Value {
 }
 
 /// What can be turned, and how it stands.
-pub(super) fn parameters(parameters: &Parameters) -> Value {
+pub(crate) fn parameters(parameters: &Parameters) -> Value {
     let one = |state: &ParameterState| {
         let (name, unit, range) = (state.parameter.name(), state.parameter.unit(), state.parameter.range());
         json!({
@@ -243,27 +243,28 @@ pub(super) fn parameters(parameters: &Parameters) -> Value {
 }
 
 /// Who watches, and who of them `you` is and controls.
-pub(super) fn class(present: &Present, you: u64, controls: Option<u64>) -> Value {
+pub(crate) fn class(present: &Present, you: u64, controls: Option<u64>) -> Value {
     json!({ "type": "class", "you": you, "controls": controls, "people": present.people })
 }
 
 /// What is drawn on the tissue.
-pub(super) fn marks(present: &Present) -> Value {
+pub(crate) fn marks(present: &Present) -> Value {
     json!({ "type": "marks", "marks": present.marks })
 }
 
 /// Where the loop is that gives forces to hands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum HapticsAt {
+pub enum HapticsAt {
     /// No device holds an instrument.
     Nowhere,
+    /// In this program.
     Here,
     /// The machine with `--role haptics`, which knows its times.
     OtherMachine,
 }
 
 /// How the loops keep their time.
-pub(super) fn timing(published: &Published, at: HapticsAt, haptics: Option<&HapticReport>) -> Value {
+pub fn timing(published: &Published, at: HapticsAt, haptics: Option<&HapticReport>) -> Value {
     let Published { pace, lateness, effort, meters, .. } = published;
     let mut simulation = meters.times().to_json();
     simulation["rate_hz"] = json!(pace.rate_hz);
@@ -286,7 +287,7 @@ pub(super) fn timing(published: &Published, at: HapticsAt, haptics: Option<&Hapt
 
 /// What a viewer wants.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Wish {
+pub(crate) enum Wish {
     /// Something of the simulation: for the one who controls.
     Command(Command),
     /// Somebody else may control.
@@ -454,7 +455,7 @@ fn near_enough(key: &str, place_m: &[f64; 3]) -> Result<(), String> {
 }
 
 /// What a viewer asks for, or why it cannot be understood.
-pub(super) fn wish(text: &str) -> Result<Wish, String> {
+pub(crate) fn wish(text: &str) -> Result<Wish, String> {
     let message: ViewerMessage =
         serde_json::from_str(text).map_err(|e| format!("message not understood: {e}"))?;
     Ok(Wish::Command(match message {

@@ -11,14 +11,14 @@ use std::time::Instant;
 use tokio::sync::watch;
 
 /// Signs of a name at most: a choice.
-pub(super) const LONGEST_NAME: usize = 40;
+pub(crate) const LONGEST_NAME: usize = 40;
 /// Strokes and marks at most; the oldest goes. A choice.
 const MOST_MARKS: usize = 100;
 
 /// Somebody who watches.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Person {
-    pub(super) number: u64,
+pub struct Person {
+    pub(crate) number: u64,
     /// Empty where nobody gave one.
     name: String,
     is_teacher: bool,
@@ -28,7 +28,7 @@ pub(super) struct Person {
 
 /// What is drawn on the tissue.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Mark {
+pub struct Mark {
     /// Number of who drew it.
     by: u64,
     /// A place, or the points of a stroke, on the tissue at rest [m].
@@ -37,14 +37,16 @@ pub(super) struct Mark {
 
 /// All of it, as it is now.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Present {
-    pub(super) people: Vec<Person>,
-    pub(super) marks: Vec<Mark>,
+pub struct Present {
+    /// In the order in which they came.
+    pub people: Vec<Person>,
+    /// The oldest first.
+    pub marks: Vec<Mark>,
 }
 
 /// What somebody wants of the class.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum ClassWish {
+pub(crate) enum ClassWish {
     /// This is my name.
     Introduce(String),
     /// I point there, or no longer.
@@ -61,7 +63,7 @@ pub(super) enum ClassWish {
 
 impl ClassWish {
     /// What of it a session keeps.
-    pub(super) fn note(&self) -> Option<Note> {
+    pub(crate) fn note(&self) -> Option<Note> {
         match self {
             Self::Draw(points_m) => {
                 Some(Note::Drawing { points_m: points_m.iter().copied().map(DVec3::from_array).collect() })
@@ -73,7 +75,7 @@ impl ClassWish {
 }
 
 /// The class of one simulation.
-pub(super) struct Class {
+pub struct Class {
     present: watch::Sender<Present>,
     /// When the last one left, while nobody is there.
     empty_since: Mutex<Option<Instant>>,
@@ -86,11 +88,12 @@ impl Default for Class {
 }
 
 impl Class {
-    pub(super) fn watch(&self) -> watch::Receiver<Present> {
+    /// Tells all that changes.
+    pub fn watch(&self) -> watch::Receiver<Present> {
         self.present.subscribe()
     }
 
-    pub(super) fn enter(&self, viewer: Viewer, is_teacher: bool) {
+    pub(crate) fn enter(&self, viewer: Viewer, is_teacher: bool) {
         let person = Person { number: viewer.number, name: String::new(), is_teacher, points_at_m: None };
         self.present.send_modify(|present| {
             present.people.push(person);
@@ -98,7 +101,7 @@ impl Class {
         });
     }
 
-    pub(super) fn leave(&self, viewer: Viewer) {
+    pub(crate) fn leave(&self, viewer: Viewer) {
         self.present.send_modify(|present| {
             present.people.retain(|person| person.number != viewer.number);
             self.note_end(present.people.is_empty().then(Instant::now));
@@ -110,12 +113,12 @@ impl Class {
     }
 
     /// Since when nobody is there any more; none where somebody is, and before the first one.
-    pub(super) fn empty_since(&self) -> Option<Instant> {
+    pub fn empty_since(&self) -> Option<Instant> {
         *self.empty_since.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Does what is wanted, or says why not.
-    pub(super) fn obey(
+    pub(crate) fn obey(
         &self,
         wish: ClassWish,
         viewer: Viewer,

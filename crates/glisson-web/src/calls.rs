@@ -1,0 +1,239 @@
+//! What the Worker calls: numbers, and bytes in the program's memory. One simulation at a time.
+//!
+//! Texts go in through [`glisson_room`], which answers where to put them. What comes out lies at [`glisson_answer`], and is so long as the
+//! call that made it said.
+
+use crate::local_page::LocalPage;
+use anyhow::{Context, anyhow};
+use glisson::math::Arithmetic;
+use glisson::scene::Scene;
+use glisson_protocol::conversation::ToViewer;
+use glisson_runtime::replay::{read_session, replay};
+use glisson_runtime::{OpenScene, Simulation};
+use std::cell::RefCell;
+use std::path::Path;
+
+/// What is kept from call to call.
+#[derive(Default)]
+struct Kept {
+    page: Option<LocalPage>,
+    run: Option<Run>,
+    /// A text that was put in.
+    given: Vec<u8>,
+    /// What the last call answers.
+    answer: Vec<u8>,
+}
+
+/// A scene without a page, step by step along its paths.
+struct Run {
+    scene: Scene,
+    simulation: Simulation,
+    steps: u64,
+}
+
+impl Run {
+    fn open(scene: &Path) -> anyhow::Result<Self> {
+        let source = OpenScene::read(scene)?;
+        Ok(Self { scene: source.scene.clone(), simulation: Simulation::open(source, None)?, steps: 0 })
+    }
+
+    /// Makes steps, and answers the hash of the state then.
+    fn go_on(&mut self, n_steps: u32) -> anyhow::Result<String> {
+        for _ in 0..n_steps {
+            self.steps += 1;
+            self.simulation.follow_paths(&self.scene, self.steps)?;
+        }
+        Ok(self.simulation.world().state_hash().to_string())
+    }
+}
+
+thread_local! {
+    static KEPT: RefCell<Kept> = RefCell::default();
+}
+
+fn with<T>(act: impl FnOnce(&mut Kept) -> T) -> T {
+    KEPT.with_borrow_mut(act)
+}
+
+/// What an answer is: an error's words ...
+const ERROR: i32 = -1;
+/// ... nothing ...
+const NOTHING: i32 = 0;
+/// ... JSON, or other words ...
+const TEXT: i32 = 1;
+/// ... or a binary frame.
+const FRAME: i32 = 2;
+
+impl Kept {
+    fn answers(&mut self, done: anyhow::Result<String>) -> i32 {
+        let (kind, text) = match done {
+            Ok(text) => (TEXT, text),
+            Err(error) => (ERROR, format!("{error:#}")),
+        };
+        self.answer = text.into_bytes();
+        kind
+    }
+
+    /// The texts that were put in, by their ends.
+    fn given(&mut self) -> String {
+        String::from_utf8_lossy(&std::mem::take(&mut self.given)).into_owned()
+    }
+
+    /// Does something with the page's simulation.
+    fn on_page(&mut self, act: impl FnOnce(&mut LocalPage) -> anyhow::Result<()>) -> i32 {
+        let done = match &mut self.page {
+            Some(page) => act(page),
+            None => Err(anyhow!("no scene is open")),
+        };
+        match done {
+            Ok(()) => NOTHING,
+            Err(error) => self.answers(Err(error)),
+        }
+    }
+}
+
+macro_rules! calls {
+    ($($(#[$about:meta])* fn $name:ident($($argument:ident: $type:ty),*) -> $answer:ty $body:block)*) => {
+        $(
+            $(#[$about])*
+            #[allow(unsafe_code, reason = "the Worker finds it by its name, which no other function has")]
+            // SAFETY: names that begin with `glisson_` are this crate's alone.
+            #[unsafe(no_mangle)]
+            pub extern "C" fn $name($($argument: $type),*) -> $answer $body
+        )*
+    };
+}
+
+calls! {
+    /// Where to put so many bytes of text, for the next call.
+    fn glisson_room(n_bytes: usize) -> *mut u8 {
+        with(|kept| {
+            kept.given = vec![0; n_bytes];
+            kept.given.as_mut_ptr()
+        })
+    }
+
+    /// Where the answer of the last call is.
+    fn glisson_answer() -> *const u8 {
+        with(|kept| kept.answer.as_ptr())
+    }
+
+    /// How long it is.
+    fn glisson_answer_bytes() -> usize {
+        with(|kept| kept.answer.len())
+    }
+
+    /// Opens the scene file of the given name and records its session; given are both names, a line each. `demonstrates`: instruments
+    /// follow the scene's paths until somebody takes them.
+    fn glisson_open(demonstrates: i32) -> i32 {
+        with(|kept| {
+            kept.page = None;
+            let names = kept.given();
+            let (scene, record) = names.split_once('\n').unwrap_or((&names, "session.jsonl"));
+            match LocalPage::open(Path::new(scene), Path::new(record), demonstrates != 0) {
+                Ok(page) => {
+                    kept.page = Some(page);
+                    NOTHING
+                }
+                Err(error) => kept.answers(Err(error)),
+            }
+        })
+    }
+
+    /// The given message of the page.
+    fn glisson_hear() -> i32 {
+        with(|kept| {
+            let text = kept.given();
+            kept.on_page(|page| page.hear(&text))
+        })
+    }
+
+    /// Goes on until the clock is reached or a frame is due. Answers how long there is nothing to do then [ms]; below 0 for an error.
+    fn glisson_turn() -> f64 {
+        with(|kept| {
+            let mut wait_ms = -1.0;
+            kept.on_page(|page| {
+                wait_ms = page.turn()?.as_secs_f64() * 1e3;
+                Ok(())
+            });
+            wait_ms
+        })
+    }
+
+    /// Has what is new ready for the page, which has taken what came before.
+    fn glisson_tell() -> i32 {
+        with(|kept| kept.on_page(|page| {
+            page.tell();
+            Ok(())
+        }))
+    }
+
+    /// The next message to the page.
+    fn glisson_next_message() -> i32 {
+        with(|kept| match kept.page.as_mut().and_then(LocalPage::take_message) {
+            None => NOTHING,
+            Some(ToViewer::Text(text)) => kept.answers(Ok(text)),
+            Some(ToViewer::Frame(frame)) => {
+                kept.answer.clear();
+                kept.answer.extend_from_slice(&frame);
+                FRAME
+            }
+        })
+    }
+
+    /// From here on the session's file has all that happened before.
+    fn glisson_keep() -> i32 {
+        with(|kept| kept.on_page(|page| {
+            page.keep_session();
+            Ok(())
+        }))
+    }
+
+    /// Opens the scene file of the given name, without a page.
+    fn glisson_open_run() -> i32 {
+        with(|kept| {
+            kept.run = None;
+            let name = kept.given();
+            match Run::open(Path::new(&name)) {
+                Ok(run) => {
+                    kept.run = Some(run);
+                    NOTHING
+                }
+                Err(error) => kept.answers(Err(error)),
+            }
+        })
+    }
+
+    /// Makes so many steps of it along its paths; answers the hash of the state then.
+    fn glisson_run(n_steps: u32) -> i32 {
+        with(|kept| {
+            let ran = kept.run.as_mut().context("no scene is open").and_then(|run| run.go_on(n_steps));
+            kept.answers(ran)
+        })
+    }
+
+    /// How it rounds (`glisson::math::Arithmetic`).
+    fn glisson_arithmetic() -> i32 {
+        with(|kept| kept.answers(Ok(Arithmetic::here().name().to_owned())))
+    }
+
+    /// Replays the session file of the given name, with the scene's files in its folder; answers `steps state_hash recorded_hash
+    /// first_difference checkpoints`, `-` for what there is not.
+    fn glisson_replay() -> i32 {
+        with(|kept| {
+            let name = kept.given();
+            let replayed = replayed(Path::new(&name));
+            kept.answers(replayed)
+        })
+    }
+}
+
+fn replayed(session: &Path) -> anyhow::Result<String> {
+    let folder = session.parent().unwrap_or(Path::new("."));
+    let report = replay(&read_session(session)?, folder, |_| Ok(()))?;
+    let or_none = |text: Option<String>| text.unwrap_or_else(|| "-".into());
+    let recorded_hash = or_none(report.recorded_hash.map(|hash| hash.to_string()));
+    let first_difference = or_none(report.first_difference.map(|step| step.to_string()));
+    let (steps, state_hash, checkpoints) = (report.steps, report.state_hash, report.checkpoints);
+    Ok(format!("{steps} {state_hash} {recorded_hash} {first_difference} {checkpoints}"))
+}

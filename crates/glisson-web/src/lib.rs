@@ -1,0 +1,13 @@
+//! The simulation in a page: what its Worker (`web/src/local/worker.ts`) calls, built for WebAssembly by `cargo xtask web`.
+//!
+//! ```text
+//! scene and its files (in the Worker's memory) -> LocalPage: Simulation, Turns
+//! page -> Conversation -> Command -> Turns -> Published -> Conversation -> page
+//! ```
+//!
+//! The page says and hears what it would of a server (`docs/protocol.md`): one viewer, who controls.
+
+mod local_page;
+pub mod calls;
+
+pub use local_page::LocalPage;

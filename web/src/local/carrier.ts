@@ -1,0 +1,92 @@
+/** Carries messages between the page and the simulation in its Worker. */
+import type { Carrier, CarrierEvents } from "../connection";
+import type { FromWorker, Start, ToWorker } from "./worker";
+
+export interface WorkerEvents {
+  /** The scene is made. */
+  opened(): void;
+  /** The simulation cannot begin, or go on. */
+  failed(reason: string): void;
+  /** What was recorded from this byte on. */
+  recorded(session: Uint8Array, from: number): void;
+}
+
+const wordsOf = (error: unknown): string => (error instanceof Error ? error.message : String(error));
+
+export class WorkerCarrier implements Carrier {
+  private isOpen = false;
+  private waiting: (() => void)[] = [];
+
+  /** `start` is asked for once the page listens. */
+  constructor(private readonly worker: Worker, private readonly start: () => Promise<Start>, private readonly events: WorkerEvents) {}
+
+  private tell(message: ToWorker, transfer: Transferable[] = []): void {
+    this.worker.postMessage(message, transfer);
+  }
+
+  private fail(reason: string): void {
+    this.isOpen = false;
+    this.answerWaiting();
+    this.events.failed(reason);
+  }
+
+  private answerWaiting(): void {
+    for (const answer of this.waiting.splice(0)) answer();
+  }
+
+  open(events: CarrierEvents): void {
+    this.worker.onerror = (event) => this.fail(event.message || "its Worker did not start");
+    this.worker.onmessageerror = () => this.fail("a message of its Worker could not be received");
+    this.worker.onmessage = ({ data }: MessageEvent<FromWorker>) => {
+      if ("opened" in data) {
+        this.isOpen = true;
+        this.events.opened();
+        events.opened();
+      } else if ("says" in data) {
+        this.hear(data.says, events);
+      } else if ("session" in data) {
+        if (data.session.length > 0) this.events.recorded(data.session, data.from);
+        if (data.kept) this.answerWaiting();
+      } else {
+        this.fail(data.failed);
+      }
+    };
+    this.start()
+      .then((start) => this.tell({ start }, [...start.files.values()].map((bytes) => bytes.buffer)))
+      .catch((error: unknown) => this.fail(wordsOf(error)));
+  }
+
+  /** What goes wrong with a message of the page's is told by the page, and the others are heard all the same. */
+  private hear(says: readonly (string | ArrayBuffer)[], events: CarrierEvents): void {
+    for (const message of says) {
+      try {
+        events.message(message);
+      } catch (error) {
+        reportError(error);
+      }
+    }
+    this.tell({ taken: true });
+  }
+
+  /** The page cannot be seen now, or can again: time stands still meanwhile. */
+  hide(hidden: boolean): void {
+    this.tell({ hidden });
+  }
+
+  /** Comes when all that happened up to now was recorded. */
+  keep(): Promise<void> {
+    if (!this.isOpen) return Promise.resolve();
+    this.tell({ keep: true });
+    return new Promise((resolve) => this.waiting.push(resolve));
+  }
+
+  send(message: string): boolean {
+    if (this.isOpen) this.tell({ message });
+    return this.isOpen;
+  }
+
+  /** Its Worker is its own. */
+  async isElsewhere(): Promise<boolean> {
+    return false;
+  }
+}

@@ -19,7 +19,10 @@ const INSTALLING: Duration = Duration::from_secs(1800);
 /// What a version is written into, besides the page's manifest and the lock files.
 const FILES_OF_VERSION: [&str; 2] = ["Cargo.toml", "CHANGELOG.md"];
 /// What the page brings with it.
-const PAGE_LICENCES: [(&str, &str); 1] = [("three", "web/node_modules/three/LICENSE")];
+const PAGE_LICENCES: [(&str, &str); 2] = [
+    ("three", "web/node_modules/three/LICENSE"),
+    ("@bjorn3/browser_wasi_shim", "web/node_modules/@bjorn3/browser_wasi_shim/LICENSE-MIT"),
+];
 
 /// Where the files are put, wherever cargo builds into: manifests and the Containerfile name it.
 fn folder() -> PathBuf {

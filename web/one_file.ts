@@ -1,8 +1,19 @@
 import { readFileSync } from "node:fs";
-import type { Plugin } from "vite";
+import type { BuildOptions, Plugin } from "vite";
 
 /** Where pages are built, until place_build.mjs puts them into dist. */
-export const OUT = "dist.new";
+const OUT = "dist.new";
+
+/** How a page becomes one file: after the other pages, beside them. */
+export const buildOf = (input: string): BuildOptions => ({
+  outDir: OUT,
+  emptyOutDir: false,
+  target: "es2022",
+  cssCodeSplit: false,
+  modulePreload: false,
+  chunkSizeWarningLimit: 5000,
+  rolldownOptions: { input, output: { codeSplitting: false } },
+});
 
 /** What the bundled packages ask for, as the build of the viewer wrote it, which bundles the same ones. */
 function notices(): string {

@@ -1,7 +1,7 @@
 import { readFileSync } from "node:fs";
 import { gzipSync } from "node:zlib";
 import { defineConfig, type Plugin } from "vite";
-import { inOneFile, OUT } from "./one_file.ts";
+import { buildOf, inOneFile } from "./one_file.ts";
 
 /** The simulation's program, as `cargo xtask web` builds it. */
 const PROGRAM = new URL("wasm/glisson.wasm", import.meta.url);
@@ -33,13 +33,5 @@ export default defineConfig({
   plugins: [withSimulation(), inOneFile("local.html", [WASI_LICENSE])],
   // Browsers start no Worker that is a module from a file on disk.
   worker: { format: "iife" },
-  build: {
-    outDir: OUT,
-    emptyOutDir: false,
-    target: "es2022",
-    cssCodeSplit: false,
-    modulePreload: false,
-    chunkSizeWarningLimit: 4000,
-    rolldownOptions: { input: "index.html", output: { codeSplitting: false } },
-  },
+  build: buildOf("index.html"),
 });

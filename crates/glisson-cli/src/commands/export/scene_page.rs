@@ -3,8 +3,9 @@
 use crate::commands::output::{check_extension, make_folder_of};
 use crate::commands::replay::Source;
 use crate::text_file::write_text;
-use anyhow::{Context, anyhow, ensure};
+use anyhow::{Context, ensure};
 use glisson::scene::Scene;
+use glisson_runtime::OpenScene;
 use glisson_runtime::tasks::{TASKS, task_named};
 use glisson_view::local_page::{has_local_page, local_page_with};
 use std::path::{Component, Path, PathBuf};
@@ -18,9 +19,7 @@ const FOLDER: &str = "scene";
 pub(super) fn scene_of(source: &Source) -> anyhow::Result<Option<Scene>> {
     let named = source.session();
     if named.extension().is_some_and(|ending| ending == "toml") {
-        let text = std::fs::read_to_string(named)
-            .with_context(|| format!("{}: cannot read the scene", named.display()))?;
-        return Scene::parse(&text).map(Some).map_err(|e| anyhow!("{}: {e}", named.display()));
+        return OpenScene::read(named).map(|source| Some(source.scene));
     }
     if named.extension().is_some() || named.is_file() {
         return Ok(None);

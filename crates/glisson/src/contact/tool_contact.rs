@@ -18,11 +18,24 @@ pub struct ToolContact {
     pub contact: FirstContact,
 }
 
-/// A surface that deforms, searched for what a tool can touch. Updating and asking never allocate.
+/// Boxes are larger than they have to be on each side by this share of the mean box's longest edge: a choice. They hold for as
+/// many steps as the surface takes to go that far, and a little more is looked at.
+const SLACK_SHARE: f64 = 0.05;
+/// Vertices that are compared before it is seen whether one went too far.
+const COMPARED: usize = 32;
+
+/// A surface that deforms, searched for what a tool can touch. Updating and asking never allocate. What is found does not depend
+/// on when the boxes were made, but for what [`SurfaceSearch::near_into`] has no room for.
 #[derive(Clone, Debug)]
 pub struct SurfaceSearch {
     /// Vertices of each slot; `None` for a slot that holds no triangle.
     triangles: Vec<Option<[u32; 3]>>,
+    /// Where the vertices were when the boxes were made [m].
+    boxed_m: Vec<DVec3>,
+    /// How far they may go from there, along each axis, before the boxes are made anew [m].
+    slack_m: f64,
+    /// Whether a slot changed since then.
+    is_stale: bool,
     /// Boxes of the vertices.
     corners: Vec<RoundedBox>,
     boxes: Vec<RoundedBox>,
@@ -37,10 +50,13 @@ impl SurfaceSearch {
         slots.resize(triangles.len() + n_spare, None);
         let mut corners = vec![RoundedBox::NOTHING; positions_m.len()];
         let mut boxes = vec![RoundedBox::NOTHING; slots.len()];
-        fill_boxes(&slots, positions_m, positions_m, &mut corners, &mut boxes);
+        fill_boxes(&slots, [positions_m; 2], 0.0, &mut corners, &mut boxes);
+        let slack_m = SLACK_SHARE * mean_longest_edge_m(&boxes);
+        fill_boxes(&slots, [positions_m; 2], slack_m, &mut corners, &mut boxes);
         let rules = PairRules::new(&[], &[], false);
         let structure = BroadPhase::new(kind, &boxes, &rules, Wanted::Queries);
-        Self { triangles: slots, corners, boxes, rules, structure }
+        let boxed_m = positions_m.to_vec();
+        Self { triangles: slots, boxed_m, slack_m, is_stale: false, corners, boxes, rules, structure }
     }
 
     /// Puts a triangle into a slot, or takes it out; counts from the next update on.
@@ -49,6 +65,7 @@ impl SurfaceSearch {
     /// When there is no such slot.
     pub fn set_triangle(&mut self, slot: u32, triangle: Option<[u32; 3]>) {
         self.triangles[slot as usize] = triangle;
+        self.is_stale = true;
     }
 
     /// Vertices of the triangle in a slot.
@@ -67,15 +84,31 @@ impl SurfaceSearch {
     }
 
     /// Follows a surface whose vertices move on straight lines from `start_m` to `end_m` during the step; the same list
-    /// twice for a surface that stands still. At least as many vertices as at the start; more do not count.
+    /// twice for a surface that stands still. The boxes stay as they are while they hold it. At least as many vertices as at the start; more do not count.
     ///
     /// # Panics
     /// When either list has fewer.
     pub fn update(&mut self, start_m: &[DVec3], end_m: &[DVec3]) {
         let (n, fewer) = (self.corners.len(), start_m.len().min(end_m.len()));
         assert!(fewer >= n, "{fewer} positions of {n} vertices");
-        fill_boxes(&self.triangles, start_m, end_m, &mut self.corners, &mut self.boxes);
+        let boxes_hold = !self.is_stale && [start_m, end_m].iter().all(|m| self.holds(m));
+        if boxes_hold {
+            return;
+        }
+        fill_boxes(&self.triangles, [start_m, end_m], self.slack_m, &mut self.corners, &mut self.boxes);
         self.structure.update(&self.boxes, &self.rules);
+        self.boxed_m.copy_from_slice(&end_m[..n]);
+        self.is_stale = false;
+    }
+
+    /// Whether the boxes hold the surface with its vertices here. One that is not finite is in no box.
+    fn holds(&self, positions_m: &[DVec3]) -> bool {
+        let is_near = |(now_m, boxed_m): (&DVec3, &DVec3)| {
+            let gone_m = (*now_m - *boxed_m).abs();
+            (gone_m.x <= self.slack_m) & (gone_m.y <= self.slack_m) & (gone_m.z <= self.slack_m)
+        };
+        let mut pairs = positions_m.chunks(COMPARED).zip(self.boxed_m.chunks(COMPARED));
+        pairs.all(|(now_m, boxed_m)| now_m.iter().zip(boxed_m).fold(true, |all, pair| all & is_near(pair)))
     }
 
     /// First contact of the step of a capsule with the surface of the last update, which was given the same positions:
@@ -264,14 +297,20 @@ fn corners(triangle: [u32; 3], positions_m: &[DVec3]) -> [DVec3; 3] {
     triangle.map(|v| positions_m[v as usize])
 }
 
+fn mean_longest_edge_m(boxes: &[RoundedBox]) -> f64 {
+    let edges_m = || boxes.iter().filter(|b| !b.is_nothing()).map(|b| f64::from(b.size_m().max_element()));
+    edges_m().sum::<f64>() / edges_m().count().max(1) as f64
+}
+
+/// Boxes of triangles whose vertices move between these places, with `slack_m` around them.
 fn fill_boxes(
     triangles: &[Option<[u32; 3]>],
-    start_m: &[DVec3],
-    end_m: &[DVec3],
+    [start_m, end_m]: [&[DVec3]; 2],
+    slack_m: f64,
     corners: &mut [RoundedBox],
     boxes: &mut [RoundedBox],
 ) {
-    fill_vertex_boxes(start_m, end_m, 0.0, corners);
+    fill_vertex_boxes(start_m, end_m, slack_m, corners);
     for (bounds, triangle) in boxes.iter_mut().zip(triangles) {
         *bounds = match triangle {
             Some(vertices) => RoundedBox::around(vertices.map(|v| corners[v as usize])),

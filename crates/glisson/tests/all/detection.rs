@@ -611,6 +611,42 @@ fn the_nearest_are_those_of_a_sorted_list_however_many_are_in_reach() {
 }
 
 #[test]
+fn boxes_that_hold_for_many_steps_find_what_fresh_ones_find() {
+    // A wave that goes on by some hundredths of a millimetre a step, and jumps once.
+    let at = |step: usize| crossing_rings(0.02 * step as f64 + if step > 150 { 1.0 } else { 0.0 }).0;
+    let (positions, triangles, _) = crossing_rings(0.0);
+    for kind in BroadPhaseKind::ALL {
+        let mut search = SurfaceSearch::new(kind, &positions, &triangles, 0);
+        let mut start = positions.clone();
+        let mut n_found = 0;
+        for step in 1..300 {
+            let mut end = at(step);
+            if (200..203).contains(&step) {
+                end[5] = DVec3::NAN;
+            }
+            let mut fresh = SurfaceSearch::new(kind, &start, &triangles, 0);
+            for search in [&mut search, &mut fresh] {
+                search.update(&start, &end);
+            }
+            let ball = Capsule::ball(end[7919 * step % end.len()], 0.5e-3);
+            let motion =
+                CapsuleMotion::straight(&Capsule::ball(ball.from_m + DVec3::Z * 3e-3, 0.5e-3), &ball);
+            let corners_m = [DVec3::ZERO, DVec3::X * 2e-3, DVec3::Z * 3e-3].map(|m| ball.from_m + m);
+            let answers = [&search, &fresh].map(|search| {
+                let mut near = Vec::with_capacity(100);
+                search.nearest_into(&ball, 1e-4, &end, &mut near);
+                let of_triangle = search.first_contact_of_triangle([corners_m; 2], 1e-4, &start, &end);
+                (near, search.first_contact(&motion, &start, &end), of_triangle)
+            });
+            assert!(answers[0] == answers[1], "{kind:?}, step {step}");
+            n_found += answers[0].0.len();
+            start = end;
+        }
+        assert!(n_found > 1500, "{n_found}");
+    }
+}
+
+#[test]
 fn following_a_surface_and_asking_allocates_nothing() {
     let (positions, triangles, body_of) = crossing_rings(0.0);
     let later: Vec<Vec<DVec3>> = (1..6).map(|i| crossing_rings(0.3 * f64::from(i)).0).collect();

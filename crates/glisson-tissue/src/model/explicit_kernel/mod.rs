@@ -398,8 +398,10 @@ impl ExplicitKernel {
             history[n] = motion.displacement_m.to_array();
             history[n_nodes + n] = motion.increment_m.to_array();
             positions_m[n] = rest.positions_m[n] + motion.displacement_m;
-            velocities_m_per_s[n] = motion.increment_m * per_step;
-            kinetic_j += 0.5 * motion.inertia_kg * velocities_m_per_s[n].length_squared();
+            // Not read back from where it is written: that waits for the write.
+            let velocity_m_per_s = motion.increment_m * per_step;
+            velocities_m_per_s[n] = velocity_m_per_s;
+            kinetic_j += 0.5 * motion.inertia_kg * velocity_m_per_s.length_squared();
         });
         history[2 * n_nodes] = [step_s.unwrap_or(0.0), f64::from(*careful_steps), 0.0];
         kernel.history_into(history[2 * n_nodes + 1..].as_flattened_mut());

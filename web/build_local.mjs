@@ -1,4 +1,4 @@
-// Builds the page that has the simulation in itself, where `cargo xtask web` has compiled that.
+// Builds the pages that have the simulation in themselves, where `cargo xtask web` has compiled that.
 import { existsSync, readdirSync, statSync } from "node:fs";
 import { join } from "node:path";
 import { fileURLToPath } from "node:url";
@@ -7,7 +7,7 @@ import { build } from "vite";
 const at = (path) => fileURLToPath(new URL(path, import.meta.url));
 const program = at("wasm/glisson.wasm");
 /** The crates that it is made of. */
-const CRATES = ["glisson-mesh", "glisson-tissue", "glisson", "glisson-runtime", "glisson-protocol", "glisson-web"];
+const CRATES = ["mesh", "tissue", "runtime", "protocol", "picture", "patient", "web"].map((name) => `glisson-${name}`).concat("glisson");
 
 /** A source that was changed after the program was compiled, if any. */
 function newerSource() {
@@ -22,7 +22,8 @@ function newerSource() {
 if (existsSync(program)) {
   const newer = newerSource();
   if (newer !== undefined) console.warn(`wasm/glisson.wasm is older than ${newer}: \`cargo xtask web\` compiles it anew`);
-  await build({ configFile: at("vite.local.config.ts") });
+  // The second has the first one in itself.
+  for (const page of ["local", "local_patient"]) await build({ configFile: at(`vite.${page}.config.ts`) });
 } else {
-  console.log("without the page that has the simulation in itself: `cargo xtask web` compiles that");
+  console.log("without the pages that have the simulation in themselves: `cargo xtask web` compiles it");
 }

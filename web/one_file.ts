@@ -2,7 +2,7 @@ import { readFileSync } from "node:fs";
 import type { BuildOptions, Plugin } from "vite";
 
 /** Where pages are built, until place_build.mjs puts them into dist. */
-const OUT = "dist.new";
+export const OUT = "dist.new";
 
 /** How a page becomes one file: after the other pages, beside them. */
 export const buildOf = (input: string): BuildOptions => ({

@@ -186,4 +186,66 @@ describe.skipIf(!isThere)("a page with its simulation in itself", () => {
     fused.openRun("file");
     expect(fused.run(2000)).not.toBe(both[0]);
   });
+
+  it("says what a browser lacks, and lets time stand still while nobody sees it", async () => {
+    const url = exported("block", BLOCK);
+    const lacking = {
+      SIMD: () => {
+        WebAssembly.validate = () => false;
+      },
+      "WebGL 2": () => {
+        HTMLCanvasElement.prototype.getContext = () => null;
+      },
+    };
+    for (const [words, without] of Object.entries(lacking)) {
+      const page = await (await browser.newContext()).newPage();
+      await page.addInitScript(without);
+      await page.goto(url);
+      await page.waitForSelector("#banner:not([hidden])");
+      expect(await page.textContent("#banner")).toContain(words);
+    }
+
+    const { page, problems } = await opened(url);
+    const see = (hidden: boolean) =>
+      page.evaluate((is) => {
+        Object.defineProperty(document, "hidden", { get: () => is, configurable: true });
+        document.dispatchEvent(new Event("visibilitychange"));
+      }, hidden);
+    const step = () => page.evaluate(() => window.glisson!.header!.step);
+    await see(true);
+    await page.waitForTimeout(500);
+    const before = await step();
+    await page.waitForTimeout(1500);
+    expect(await step()).toBe(before);
+    await see(false);
+    await page.waitForFunction((n) => window.glisson!.header!.step > n + 20, before);
+    expect(await page.evaluate(() => window.glisson!.messages.join(" "))).toContain("stood still");
+    expect(problems).toEqual([]);
+  });
+
+  it("a recorded session is played, and taken over at the moment that is shown", async () => {
+    writeFileSync(join(out, "recorded.toml"), `${LIVERS.precomputed.replace(PROBE, "")}${PROBE}path = [{ time = "0.5 s", tip = ["-30 mm", "-50 mm", "20 mm"] }, { time = "0.8 s", tip = ["-30 mm", "-48 mm", "20 mm"] }]\n`);
+    run("run", "recorded.toml", "--record", "recorded.jsonl");
+    run("export", "recorded.jsonl", "--take-over", "--html", "recorded.html");
+    const { page, problems } = await openPage(browser);
+    await page.goto(pathToFileURL(join(out, "recorded.html")).href);
+    await page.waitForFunction(() => window.glissonReplay?.header != null);
+    await page.keyboard.press("End");
+    for (let i = 0; i < 3; i++) await page.keyboard.press("ArrowLeft");
+    await page.waitForFunction(() => window.glissonReplay!.frame === window.glissonReplay!.nFrames - 4);
+    const recorded = await page.evaluate(() => window.glissonReplay!.header!);
+    await page.keyboard.press("a");
+    await page.waitForFunction(() => window.glisson?.header != null, undefined, { timeout: 60_000 });
+    const taken = await page.evaluate(() => window.glisson!.header!);
+    expect([taken.step, taken.paused]).toEqual([recorded.step, true]);
+    expect(Math.hypot(...taken.forceOnTool_n)).toBeGreaterThan(0.02);
+    for (const [axis, force_n] of taken.forceOnTool_n.entries()) expect(force_n).toBeCloseTo(recorded.forceOnTool_n[axis]!, 3);
+    await page.screenshot({ path: resultFile("local_taken_over.png") });
+    await page.keyboard.press(" ");
+    await page.waitForFunction((step) => window.glisson!.header!.step > step + 20, taken.step);
+    const session = await savedSession(page, "taken.jsonl");
+    expect(problems).toEqual([]);
+    const [steps, , , difference] = (await inNode(session)).replay("file");
+    expect([Number(steps) > taken.step, difference]).toEqual([true, "-"]);
+  });
 });

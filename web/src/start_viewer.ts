@@ -9,6 +9,7 @@ import { viewerHook } from "./hook";
 import { text, translatePage } from "./language";
 import { findPage } from "./page";
 import { Viewer } from "./viewer";
+import { reasonOf } from "./reason";
 
 /** What is said in the page. */
 export interface Says {
@@ -27,7 +28,7 @@ export function startViewer(carrierOf: (says: Says) => Carrier): void {
     Object.defineProperty(window, "glisson", { value: viewerHook(() => viewer.parts()) });
   } catch (error) {
     console.error(error);
-    say(text("cannot_start", { reason: error instanceof Error ? error.message : String(error) }));
+    say(text("cannot_start", { reason: reasonOf(error) }));
   }
 }
 

@@ -5,7 +5,7 @@ import { PLAYER_BINDINGS, PLAYER_BUTTONS } from "../src/replay/keys";
 import { between } from "../src/replay/between";
 import { Taker } from "../src/bytes";
 import { timeInFragment } from "../src/replay/fragment";
-import { bytesOfBase64 } from "../src/replay/page";
+import { bytesOfBase64 } from "../src/base64";
 import { neighbour, Playback } from "../src/replay/playback";
 import { Recording, type Shown } from "../src/replay/recording";
 import { decodeStory, endingText } from "../src/replay/story";

@@ -6,12 +6,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates, each of which may use those before it.
-const CRATES: [&str; 12] = [
+const CRATES: [&str; 14] = [
     "glisson-mesh",
     "glisson-tissue",
     "glisson",
     "glisson-runtime",
     "glisson-protocol",
+    "glisson-picture",
+    "glisson-patient",
     "glisson-net",
     "glisson-results",
     "glisson-view",

@@ -4,6 +4,12 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
+/// What programs that write the same file at one time do not share. A page has files of its own, and no number.
+fn temporary_ending() -> String {
+    let process = if cfg!(target_family = "wasm") { 0 } else { std::process::id() };
+    format!(".{process}.tmp")
+}
+
 /// Writes `path` through a temporary file beside it, renamed into place only after `write` succeeded and
 /// the bytes reached the disk. On any error the old file, if there was one, is untouched.
 ///
@@ -18,7 +24,7 @@ pub fn write_atomically(
     })?;
     let mut temporary_name = std::ffi::OsString::from(".");
     temporary_name.push(name);
-    temporary_name.push(format!(".{}.tmp", std::process::id()));
+    temporary_name.push(temporary_ending());
     let temporary = path.with_file_name(temporary_name);
     let result = (|| {
         let mut writer = BufWriter::new(File::create(&temporary)?);
@@ -64,7 +70,7 @@ pub fn fill_folder_atomically<E: From<io::Error>>(
     let new_parents: Vec<&Path> = parents.take_while(|parent| !parent.exists()).collect();
     let mut temporary_name = std::ffi::OsString::from(".");
     temporary_name.push(name);
-    temporary_name.push(format!(".{}.tmp", std::process::id()));
+    temporary_name.push(temporary_ending());
     let temporary = path.with_file_name(temporary_name);
     let made = match path.parent() {
         Some(parent) => std::fs::create_dir_all(parent),

@@ -1,4 +1,4 @@
-//! Replays a session and says whether it made the same bits; goes on with one that was cut off.
+//! Replays a session and says whether it made the same bits; goes on with one that was cut off, or from any step of one.
 
 use crate::account::Account;
 use crate::{OpenScene, Simulation, Turn};
@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow, bail, ensure};
 use glisson::math::Arithmetic;
 use glisson::mesh::refine::FineRegion;
 use glisson::model::StateHash;
-use glisson::progress::tell;
+use glisson::progress::{part, tell};
 use glisson::record::session::{SESSION_VERSION, Session, SessionEvent, parse_session};
 use glisson::scene::Scene;
 use glisson::training::task::{TaskRecord, TaskRun};
@@ -15,6 +15,8 @@ use std::path::Path;
 
 /// Steps from one word of how far it is to the next.
 const STEPS_OF_NEWS: u64 = 100;
+/// What is told of the making of a scene before its session is replayed: a choice.
+const SHARE_OF_MAKING: f64 = 0.3;
 
 /// What a replay found.
 pub struct ReplayReport {
@@ -109,12 +111,7 @@ pub fn resume(
     n_threads: usize,
 ) -> anyhow::Result<Simulation> {
     ensure!(session.cut_off, "the session was not cut off: it has an end");
-    ensure!(
-        session.header.version == SESSION_VERSION,
-        "the session has version {} and cannot be gone on with; this program writes version {SESSION_VERSION}. \
-         `glisson replay` replays it",
-        session.header.version
-    );
+    check_version(session)?;
     let (recorded, here) = (session.header.arithmetic, Arithmetic::here());
     ensure!(
         recorded == here,
@@ -124,13 +121,7 @@ pub fn resume(
     );
     let mut simulation = open_recorded(session, folder, n_threads)?;
     let n_steps = session.events.last().map_or(0, SessionEvent::step);
-    let compared = follow(session, &mut simulation, |simulation| {
-        let step = simulation.world().steps_made();
-        if step.is_multiple_of(STEPS_OF_NEWS) {
-            tell(step as f64 / n_steps.max(1) as f64);
-        }
-        Ok(())
-    })?;
+    let compared = follow(session, &mut simulation, |simulation| tell_of(simulation, n_steps))?;
     if let Some(step) = compared.first_difference {
         bail!(
             "the session cannot be gone on with: replayed by this program it differs from the check-point of step {step} on"
@@ -140,12 +131,87 @@ pub fn resume(
     Ok(simulation)
 }
 
+/// A session from its step `at_step` on, live: as it was right after that step, where it stands still at first, and recorded in `record`
+/// from its beginning, as if nothing had come after. In another arithmetic than the recording's it is there with other bits. Tells how
+/// far it is ([`glisson::progress`]).
+///
+/// # Errors
+/// A session of an older version, or without that step; when its scene cannot be made, or has another mesh.
+pub fn take_over(
+    session: &Session,
+    at_step: u64,
+    folder: &Path,
+    record: &Path,
+) -> anyhow::Result<Simulation> {
+    check_version(session)?;
+    let last = session.events.last().map_or(0, SessionEvent::step);
+    ensure!(at_step <= last, "step {at_step} was asked for; the session has {last}");
+    let mut taken = session.clone();
+    taken.header.arithmetic = Arithmetic::here();
+    taken.events.retain(|event| match event {
+        // They are of the recording's bits.
+        SessionEvent::Checkpoint { .. } | SessionEvent::End { .. } => false,
+        _ => event.step() < at_step || event.step() == at_step && came_with_its_step(event),
+    });
+    let mut simulation = part(0.0, SHARE_OF_MAKING, || open_recorded(session, folder, 1))?;
+    part(SHARE_OF_MAKING, 1.0, || {
+        let (_, input) = follow_with_input(&taken, &mut simulation, |now| tell_of(now, at_step))?;
+        while simulation.world().steps_made() < at_step {
+            simulation.advance(&input)?;
+            tell_of(&simulation, at_step)?;
+        }
+        anyhow::Ok(())
+    })?;
+    simulation.go_on(&taken, folder, record)?;
+    Ok(simulation)
+}
+
+/// Whether the step itself brought what a session says of it: what somebody did came after it.
+fn came_with_its_step(event: &SessionEvent) -> bool {
+    matches!(
+        event,
+        SessionEvent::TearVessel { .. } | SessionEvent::Gravity { .. } | SessionEvent::Note { .. }
+    )
+}
+
+/// That the session can be gone on with by this program.
+///
+/// # Errors
+/// One of an older version.
+pub fn check_version(session: &Session) -> anyhow::Result<()> {
+    ensure!(
+        session.header.version == SESSION_VERSION,
+        "the session has version {} and cannot be gone on with; this program writes version {SESSION_VERSION}. \
+         `glisson replay` replays it",
+        session.header.version
+    );
+    Ok(())
+}
+
+/// Tells now and then how far a replay of `n_steps` is.
+fn tell_of(simulation: &Simulation, n_steps: u64) -> anyhow::Result<()> {
+    let step = simulation.world().steps_made();
+    if step.is_multiple_of(STEPS_OF_NEWS) {
+        tell(step as f64 / n_steps.max(1) as f64);
+    }
+    Ok(())
+}
+
 /// Makes all of the session's steps.
 fn follow(
     session: &Session,
     simulation: &mut Simulation,
-    mut after_step: impl FnMut(&Simulation) -> anyhow::Result<()>,
+    after_step: impl FnMut(&Simulation) -> anyhow::Result<()>,
 ) -> anyhow::Result<Compared> {
+    follow_with_input(session, simulation, after_step).map(|(compared, _)| compared)
+}
+
+/// [`follow`], with the input that the next step would have.
+fn follow_with_input(
+    session: &Session,
+    simulation: &mut Simulation,
+    mut after_step: impl FnMut(&Simulation) -> anyhow::Result<()>,
+) -> anyhow::Result<(Compared, StepInput)> {
     let homes: Vec<_> = simulation.world().tools().iter().map(|tool| tool.home).collect();
     let mut input = StepInput::of(&homes);
     let mut compared = Compared::default();
@@ -194,5 +260,5 @@ fn follow(
             SessionEvent::End { state_hash, .. } => compared.recorded_hash = Some(state_hash),
         }
     }
-    Ok(compared)
+    Ok((compared, input))
 }

@@ -1,21 +1,20 @@
-//! Pictures without a GPU, plots, and the page: the viewer and its server.
+//! Films, plots, and the pages: the viewer and its server.
 //!
 //! ```text
-//! snapshot -> picture (software rasterizer) -> PNG;  numbers -> plot -> SVG
-//! session, step by step -> picture -> film -> MP4 (by ffmpeg)
+//! numbers -> plot -> SVG
+//! session, step by step -> pictures (glisson_picture) -> film -> MP4 (by ffmpeg)
 //! Published (glisson_runtime) -> server: frames, messages (glisson_protocol) -> WebSocket -> page (web/dist, embedded)
 //! page -> commands -> Simulation
 //! TaskRecord (glisson::training) -> report -> HTML
 //! scene, files -> local_page -> HTML that simulates without a server
 //! session -> recording -> HTML that plays without a server
-//! image -> patient (its own page) -> scene -> Simulation
+//! image -> patient (its own page; steps of glisson_patient) -> scene -> Simulation
 //! tasks, scene files -> start (its own page) -> Simulation
 //! ```
 //!
 //! The modules stand in data-flow order; a module uses only modules above it (`xtask/tests/layering.rs`).
 
 pub mod plot;
-pub mod picture;
 pub mod film;
 pub mod report;
 pub mod server;

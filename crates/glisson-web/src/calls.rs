@@ -4,6 +4,8 @@
 //! call that made it said.
 
 use crate::local_page::LocalPage;
+use crate::new_patient::NewPatient;
+use crate::progress::told;
 use anyhow::{Context, anyhow};
 use glisson::math::Arithmetic;
 use glisson::scene::Scene;
@@ -18,6 +20,7 @@ use std::path::Path;
 struct Kept {
     page: Option<LocalPage>,
     run: Option<Run>,
+    patient: NewPatient,
     /// A text that was put in.
     given: Vec<u8>,
     /// What the last call answers.
@@ -79,16 +82,21 @@ impl Kept {
         String::from_utf8_lossy(&std::mem::take(&mut self.given)).into_owned()
     }
 
+    /// What a call that answers words, or none, came to.
+    fn done(&mut self, done: anyhow::Result<()>) -> i32 {
+        match done {
+            Ok(()) => NOTHING,
+            Err(error) => self.answers(Err(error)),
+        }
+    }
+
     /// Does something with the page's simulation.
     fn on_page(&mut self, act: impl FnOnce(&mut LocalPage) -> anyhow::Result<()>) -> i32 {
         let done = match &mut self.page {
             Some(page) => act(page),
             None => Err(anyhow!("no scene is open")),
         };
-        match done {
-            Ok(()) => NOTHING,
-            Err(error) => self.answers(Err(error)),
-        }
+        self.done(done)
     }
 }
 
@@ -129,14 +137,22 @@ calls! {
         with(|kept| {
             kept.page = None;
             let names = kept.given();
-            let (scene, record) = names.split_once('\n').unwrap_or((&names, "session.jsonl"));
-            match LocalPage::open(Path::new(scene), Path::new(record), demonstrates != 0) {
-                Ok(page) => {
-                    kept.page = Some(page);
-                    NOTHING
-                }
-                Err(error) => kept.answers(Err(error)),
-            }
+            let (scene, record) = two_names(&names);
+            let opened = told(|| LocalPage::open(Path::new(scene), Path::new(record), demonstrates != 0));
+            let opened = opened.map(|page| kept.page = Some(page));
+            kept.done(opened)
+        })
+    }
+
+    /// Goes on with the session file of the given name from a step on; given are its name and that of the new recording, a line each.
+    fn glisson_take_over(at_step: u32) -> i32 {
+        with(|kept| {
+            kept.page = None;
+            let names = kept.given();
+            let (session, record) = two_names(&names);
+            let taken = told(|| LocalPage::take_over(Path::new(session), at_step.into(), Path::new(record)));
+            let taken = taken.map(|page| kept.page = Some(page));
+            kept.done(taken)
         })
     }
 
@@ -194,13 +210,8 @@ calls! {
         with(|kept| {
             kept.run = None;
             let name = kept.given();
-            match Run::open(Path::new(&name)) {
-                Ok(run) => {
-                    kept.run = Some(run);
-                    NOTHING
-                }
-                Err(error) => kept.answers(Err(error)),
-            }
+            let opened = Run::open(Path::new(&name)).map(|run| kept.run = Some(run));
+            kept.done(opened)
         })
     }
 
@@ -217,6 +228,55 @@ calls! {
         with(|kept| kept.answers(Ok(Arithmetic::here().name().to_owned())))
     }
 
+    /// How far the new patient is, in JSON.
+    fn glisson_patient() -> i32 {
+        with(|kept| {
+            let state = kept.patient.state();
+            kept.answers(Ok(state))
+        })
+    }
+
+    /// Has a step of the new patient's ready; given are its name and its choice in JSON, a line each. Answers what the page says of it.
+    fn glisson_patient_prepare() -> i32 {
+        with(|kept| {
+            let given = kept.given();
+            let (name, choice) = given.split_once('\n').unwrap_or((&given, "{}"));
+            let what = kept.patient.prepare(name, choice).map(str::to_owned);
+            kept.answers(what)
+        })
+    }
+
+    /// Does it.
+    fn glisson_patient_run() -> i32 {
+        with(|kept| {
+            let done = told(|| kept.patient.run());
+            kept.done(done)
+        })
+    }
+
+    /// The picture of the given name.
+    fn glisson_patient_picture() -> i32 {
+        with(|kept| {
+            let name = kept.given();
+            match kept.patient.picture(&name) {
+                Ok(bytes) => {
+                    kept.answer = bytes;
+                    FRAME
+                }
+                Err(error) => kept.answers(Err(error)),
+            }
+        })
+    }
+
+    /// The outlines of the organ of the given name, in JSON.
+    fn glisson_patient_outlines() -> i32 {
+        with(|kept| {
+            let name = kept.given();
+            let outlines = kept.patient.outlines(&name);
+            kept.answers(outlines)
+        })
+    }
+
     /// Replays the session file of the given name, with the scene's files in its folder; answers `steps state_hash recorded_hash
     /// first_difference checkpoints`, `-` for what there is not.
     fn glisson_replay() -> i32 {
@@ -226,6 +286,11 @@ calls! {
             kept.answers(replayed)
         })
     }
+}
+
+/// A file's name, and that of the session that is recorded, a line each.
+fn two_names(names: &str) -> (&str, &str) {
+    names.split_once('\n').unwrap_or((names, "session.jsonl"))
 }
 
 fn replayed(session: &Path) -> anyhow::Result<String> {

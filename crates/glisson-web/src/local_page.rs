@@ -8,6 +8,7 @@ use glisson_protocol::messages::{self, HapticsAt};
 use glisson_runtime::control::Steers;
 use glisson_runtime::live::{Command, Turns};
 use glisson_runtime::published::Published;
+use glisson_runtime::replay::{read_session, take_over};
 use glisson_runtime::script::PathScript;
 use glisson_runtime::{OpenScene, Simulation};
 use std::collections::VecDeque;
@@ -47,6 +48,15 @@ impl LocalPage {
             simulation.follow_script(Box::new(script));
         }
         Self::of(simulation)
+    }
+
+    /// Goes on with a session file from one of its steps on, with the scene's files in its folder, and records it anew into `record`.
+    ///
+    /// # Errors
+    /// Those of the session and its scene ([`take_over`]).
+    pub fn take_over(session: &Path, at_step: u64, record: &Path) -> anyhow::Result<Self> {
+        let folder = session.parent().unwrap_or(Path::new("."));
+        Self::of(take_over(&read_session(session)?, at_step, folder, record)?)
     }
 
     fn of(simulation: Simulation) -> anyhow::Result<Self> {
@@ -129,7 +139,10 @@ impl LocalPage {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glisson_runtime::replay::{read_session, replay};
+    use glisson::math::DVec3;
+    use glisson::tool::ToolInput;
+    use glisson::world::StepInput;
+    use glisson_runtime::replay::replay;
 
     const SCENE: &str = "glisson_scene = 1\n[organ]\nmodel = \"precomputed\"\ntissue = \"liver\"\nedge = \"20 mm\"\n\
         box = { min = [\"-5 cm\", \"0 cm\", \"-5 cm\"], max = [\"5 cm\", \"4 cm\", \"5 cm\"] }\n\
@@ -175,5 +188,48 @@ mod tests {
         let partial = glisson_runtime::recorder::partial_of(&session);
         let report = replay(&read_session(&partial).unwrap(), folder.path(), |_| Ok(())).unwrap();
         assert_eq!((report.first_difference, report.checkpoints >= 1), (None, true));
+    }
+
+    #[test]
+    fn a_session_is_taken_over_where_it_is_wanted_and_goes_on_from_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("scene.toml"), SCENE).unwrap();
+        let open = |record: &Path| {
+            Simulation::open(OpenScene::read(&at("scene.toml")).unwrap(), Some(record)).unwrap()
+        };
+        let push = |simulation: &mut Simulation, steps: std::ops::Range<u64>, slope: f64| {
+            for step in steps {
+                let tip_m = DVec3::new(0.0, -0.04 + 5e-4 * step as f64, slope * step as f64);
+                simulation.advance(&StepInput::of(&[ToolInput::at(tip_m, -DVec3::Y)])).unwrap();
+            }
+        };
+        let mut whole = open(&at("whole.jsonl"));
+        push(&mut whole, 0..60, 0.0);
+        // What somebody did after the step does not count at it.
+        whole.reset().unwrap();
+        push(&mut whole, 60..90, 0.0);
+        let half = {
+            let mut half = open(&at("half.jsonl"));
+            push(&mut half, 0..60, 0.0);
+            half.world().state_hash()
+        };
+        whole.finish().unwrap();
+
+        let session = read_session(&at("whole.jsonl")).unwrap();
+        assert!(take_over(&session, 91, folder.path(), &at("late.jsonl")).is_err());
+        let mut taken = take_over(&session, 60, folder.path(), &at("taken.jsonl")).unwrap();
+        assert_eq!((taken.world().steps_made(), taken.world().state_hash()), (60, half));
+        push(&mut taken, 60..80, 1e-4);
+        let end = taken.finish().unwrap();
+        let report = replay(&read_session(&at("taken.jsonl")).unwrap(), folder.path(), |_| Ok(())).unwrap();
+        assert_eq!((report.steps, report.state_hash, report.first_difference), (80, end, None));
+
+        // In the page it stands still until time is let pass.
+        let mut page = LocalPage::take_over(&at("whole.jsonl"), 60, &at("page.jsonl")).unwrap();
+        for _ in 0..5 {
+            page.turn().unwrap();
+        }
+        assert_eq!(page.turns.shown().snapshot.step, 60);
     }
 }

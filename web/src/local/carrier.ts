@@ -1,8 +1,11 @@
 /** Carries messages between the page and the simulation in its Worker. */
 import type { Carrier, CarrierEvents } from "../connection";
 import type { FromWorker, Start, ToWorker } from "./worker";
+import { reasonOf } from "../reason";
 
 export interface WorkerEvents {
+  /** So much of the scene is made, 0 to 1. */
+  making(share: number): void;
   /** The scene is made. */
   opened(): void;
   /** The simulation cannot begin, or go on. */
@@ -10,8 +13,6 @@ export interface WorkerEvents {
   /** What was recorded from this byte on. */
   recorded(session: Uint8Array, from: number): void;
 }
-
-const wordsOf = (error: unknown): string => (error instanceof Error ? error.message : String(error));
 
 export class WorkerCarrier implements Carrier {
   private isOpen = false;
@@ -38,7 +39,9 @@ export class WorkerCarrier implements Carrier {
     this.worker.onerror = (event) => this.fail(event.message || "its Worker did not start");
     this.worker.onmessageerror = () => this.fail("a message of its Worker could not be received");
     this.worker.onmessage = ({ data }: MessageEvent<FromWorker>) => {
-      if ("opened" in data) {
+      if ("share" in data) {
+        this.events.making(data.share);
+      } else if ("opened" in data) {
         this.isOpen = true;
         this.events.opened();
         events.opened();
@@ -53,7 +56,7 @@ export class WorkerCarrier implements Carrier {
     };
     this.start()
       .then((start) => this.tell({ start }, [...start.files.values()].map((bytes) => bytes.buffer)))
-      .catch((error: unknown) => this.fail(wordsOf(error)));
+      .catch((error: unknown) => this.fail(reasonOf(error)));
   }
 
   /** What goes wrong with a message of the page's is told by the page, and the others are heard all the same. */

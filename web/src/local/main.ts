@@ -4,7 +4,7 @@ import { startViewer } from "../start_viewer";
 import "./local.css";
 import { WorkerCarrier } from "./carrier";
 import { Kept } from "./kept";
-import { programInPage, sceneInPage } from "./parts";
+import { compiled, programLetters, sceneInPage, stepInPage } from "./parts";
 import { SessionList } from "./session_list";
 import type { Start } from "./worker";
 import Beside from "./worker?worker&inline";
@@ -13,14 +13,19 @@ import Beside from "./worker?worker&inline";
 const DEMONSTRATE = "#demonstrate";
 
 async function begin(): Promise<Start> {
-  const [module, { scene, files }] = await Promise.all([programInPage(), sceneInPage()]);
-  return { module, files, scene, demonstrates: window.location.hash === DEMONSTRATE, hidden: document.hidden };
+  const step = stepInPage();
+  const [module, { scene, files }] = await Promise.all([compiled(programLetters()), sceneInPage()]);
+  const begins = step === null ? { scene, demonstrates: window.location.hash === DEMONSTRATE } : { session: scene, step };
+  return { module, files, begins, hidden: document.hidden };
 }
 
 const kept = await Kept.open().catch(() => null);
 startViewer(({ failed, notice }) => {
   const carrier: WorkerCarrier = new WorkerCarrier(new Beside(), begin, {
     failed: (reason) => failed(text("local_ended", { reason })),
+    making: (share) => {
+      document.getElementById("link")!.textContent = text("local_made", { percent: (100 * share).toFixed(0) });
+    },
     opened: () => sessions.opened(),
     recorded: (session, from) => sessions.recorded(session, from),
   });

@@ -1,15 +1,7 @@
 /** The session of this visit, to be saved, and those of earlier ones that are kept. */
 import { text } from "../language";
 import { mayGoOn, OVER_AFTER_MS, type Kept, type KeptSession } from "./kept";
-
-/** Steps aside for the browser to save bytes as a file. */
-function save(name: string, bytes: Blob): void {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(bytes);
-  link.download = name;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
-}
+import { saveFile } from "./save_file";
 
 /** Letters, figures and hyphens of a name. */
 const inFileName = (name: string): string => name.toLowerCase().replaceAll(/[^\p{L}\p{N}]+/gu, "-").replaceAll(/^-|-$/g, "");
@@ -102,7 +94,7 @@ export class SessionList {
     const date = new Date(begun_ms).toISOString().slice(0, 19).replaceAll(/[:T]/g, "-");
     const press = async (): Promise<void> => {
       if (isOwn) await this.events.keep().then(() => this.writing);
-      save(`${inFileName(name)}-${date}.jsonl`, await kept.session(id));
+      saveFile(`${inFileName(name)}-${date}.jsonl`, await kept.session(id));
     };
     line.append(words, button(text("local_save"), press));
     // Another page may be recording it.

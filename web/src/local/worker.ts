@@ -1,13 +1,18 @@
 /** The simulation of a page that has it in itself: steps beside the page, and says and hears what a server would. */
-import { Program, type Files, type Message } from "./program";
+import { nowAndThen, type Files } from "./calling";
+import { Program, type Message } from "./program";
+import { reasonOf } from "../reason";
+
+/** With a scene, whose paths instruments may follow, or with a recorded session from a step on; each is named among the files. */
+export type Beginning =
+  | { readonly scene: string; readonly demonstrates: boolean }
+  | { readonly session: string; readonly step: number };
 
 /** How it begins: the program, and the files that it sees. */
 export interface Start {
   readonly module: WebAssembly.Module;
   readonly files: Files;
-  /** Of the scene, among the files. */
-  readonly scene: string;
-  readonly demonstrates: boolean;
+  readonly begins: Beginning;
   /** Whether the page is hidden. */
   readonly hidden: boolean;
 }
@@ -20,8 +25,9 @@ export type ToWorker =
   | { readonly hidden: boolean }
   | { readonly keep: true };
 
-/** From it: that the scene is open, what the simulation says, how its session goes on (`kept`: as it was asked for), or why it ended. */
+/** From it: how much of the scene is made, that it is open, what the simulation says, how its session goes on (`kept`: as it was asked for), or why it ended. */
 export type FromWorker =
+  | { readonly share: number }
   | { readonly opened: true }
   | { readonly says: readonly Message[] }
   | { readonly session: Uint8Array; readonly from: number; readonly kept: boolean }
@@ -63,7 +69,7 @@ function keepSession(program: Program, kept: boolean): void {
 function fail(error: unknown): void {
   if (program !== null) keepSession(program, false);
   program = null;
-  post({ failed: error instanceof Error ? error.message : String(error) });
+  post({ failed: reasonOf(error) });
 }
 
 /** Does something with the simulation; what goes wrong ends it. */
@@ -99,11 +105,18 @@ function tell(program: Program): void {
   post({ says }, says.filter((message) => typeof message !== "string"));
 }
 
-async function start({ module, files, scene, demonstrates, hidden }: Start): Promise<void> {
+async function start({ module, files, begins, hidden }: Start): Promise<void> {
   // It may change while the scene is made.
   isHidden = hidden;
-  const fresh = await Program.start(module, files);
-  fresh.open(scene, demonstrates);
+  const tell = nowAndThen((share) => post({ share }));
+  const fresh = await Program.start(module, files, (share) => {
+    if (program === null) tell(share);
+  });
+  if ("scene" in begins) fresh.open(begins.scene, begins.demonstrates);
+  else {
+    fresh.takeOver(begins.session, begins.step);
+    isPaused = true;
+  }
   program = fresh;
   post({ opened: true });
   hide(isHidden);

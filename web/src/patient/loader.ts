@@ -1,33 +1,48 @@
-/** A picture of the server's: of several that are asked for in a row the last one comes. */
+/** A picture that is drawn elsewhere: of several that are asked for in a row the last one comes. */
 export class Loader {
   readonly picture = new Image();
+  /** What is shown, or under way. */
+  private name = "";
   /** What is to be shown once the picture under way is there. */
   private next: string | null = null;
   private isLoading = false;
 
-  constructor(alt: string) {
-    this.picture.alt = alt;
+  /** `addressOf`: where the picture of a name is found. */
+  constructor(private readonly addressOf: (name: string) => Promise<string>) {
+    this.picture.alt = "";
     this.picture.draggable = false;
-    const done = (): void => {
-      this.isLoading = false;
-      if (this.next !== null) this.load(this.next);
-    };
-    this.picture.addEventListener("load", done);
-    this.picture.addEventListener("error", () => {
-      // Not the picture before in the place of this one.
-      this.picture.removeAttribute("src");
-      done();
-    });
+    this.picture.addEventListener("load", () => this.done());
+    this.picture.addEventListener("error", () => this.none());
   }
 
-  load(address: string): void {
+  private done(): void {
+    this.isLoading = false;
+    if (this.next !== null) this.load(this.next);
+  }
+
+  /** Not the picture before in the place of this one. */
+  private none(): void {
+    URL.revokeObjectURL(this.picture.src);
+    this.picture.removeAttribute("src");
+    this.name = "";
+    this.done();
+  }
+
+  load(name: string): void {
     if (this.isLoading) {
-      this.next = address;
+      this.next = name;
       return;
     }
     this.next = null;
-    if (this.picture.src.endsWith(address)) return;
-    this.isLoading = true;
-    this.picture.src = address;
+    if (this.name === name) return;
+    [this.isLoading, this.name] = [true, name];
+    const before = this.picture.src;
+    this.addressOf(name).then(
+      (address) => {
+        this.picture.src = address;
+        URL.revokeObjectURL(before);
+      },
+      () => this.none(),
+    );
   }
 }

@@ -3,8 +3,9 @@ import { item, part } from "./dom";
 import { Inputs, outlineWords, type Kind, type Method } from "./inputs";
 import { text } from "../language";
 import { isOneSlice, normalAxis } from "./planes";
-import { fetchOutlines, type Outline, type PatientState, type PlaneName, type Point, type Step } from "./state";
+import type { Outline, PatientState, PlaneName, Point, Step } from "./state";
 import type { Cross, Marks } from "./view";
+import { reasonOf } from "../reason";
 
 /** What the page does for the section of organs. */
 export interface OrganHost {
@@ -12,6 +13,7 @@ export interface OrganHost {
   readonly cross: () => Cross | null;
   readonly go: (to_mm: Point) => void;
   readonly step: (name: Step, choice: object) => Promise<void>;
+  readonly outlines: (organ: string) => Promise<readonly Outline[]>;
   readonly complain: (words: string | null) => void;
   readonly showPlanes: () => void;
 }
@@ -238,9 +240,9 @@ export class OrganSection {
     const name = this.name();
     let found: readonly Outline[] = [];
     try {
-      if (n_outlines > 0) found = await fetchOutlines(name);
+      if (n_outlines > 0) found = await this.host.outlines(name);
     } catch (error) {
-      this.host.complain(error instanceof Error ? error.message : String(error));
+      this.host.complain(reasonOf(error));
     }
     // Meanwhile another organ may be looked for.
     if (name === this.name()) this.found = found;

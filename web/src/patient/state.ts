@@ -1,4 +1,4 @@
-/** What the server says of the patient, and what it can be asked (crates/glisson-view/src/patient/api.rs). */
+/** What is said of the patient, and what can be asked (crates/glisson-patient/src/steps.rs). */
 
 export type Point = readonly [number, number, number];
 export type PlaneName = "axial" | "coronal" | "sagittal";
@@ -80,40 +80,12 @@ export interface PatientState {
   };
 }
 
-const API = "/api/patient/";
-
-/** @throws Error with the server's words. */
-async function asked(path: string, init?: RequestInit): Promise<Response> {
-  const response = await fetch(API + path, init);
-  if (!response.ok) throw new Error((await response.text()).trim() || `the server answers ${response.status}`);
-  return response;
-}
-
-export async function fetchState(): Promise<PatientState> {
-  return (await asked("state")).json() as Promise<PatientState>;
-}
-
 export type Step = "open" | "values" | "organ" | "remove" | "mesh" | "start" | "cancel" | "leave";
 
-/** Begins a step of the server, or cancels the one that runs. */
-export async function post(step: Step, choice: object): Promise<void> {
-  await asked(step, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(choice) });
-}
-
-/** Sends the files of an image; answers the number under which they came. */
-export async function sendFiles(files: readonly File[], tell: (done: number) => void): Promise<number> {
-  const { upload } = (await (await asked("files", { method: "POST" })).json()) as { upload: number };
-  for (const [number, file] of files.entries()) {
-    await asked(`files/${upload}/${encodeURIComponent(file.name)}`, { method: "PUT", body: file });
-    tell(number + 1);
-  }
-  return upload;
-}
-
-/** Address of a slice's picture; `version` makes a new one of the same slice. */
-export function sliceAddress(plane: PlaneName, at_mm: Point, window: readonly [number, number], version: number): string {
+/** The picture of a slice; `version` makes a new one of the same slice. */
+export function slicePicture(plane: PlaneName, at_mm: Point, window: readonly [number, number], version: number): string {
   const numbers = [...at_mm, ...window].map((x) => x.toFixed(3)).join("/");
-  return `${API}slice/${plane}/${numbers}?v=${version}`;
+  return `slice/${plane}/${numbers}?v=${version}`;
 }
 
 /** How the tetrahedra are looked at. */
@@ -126,12 +98,7 @@ export interface MeshLook {
   readonly colours: "organ" | "quality";
 }
 
-export function pictureAddress(look: MeshLook, version: number): string {
+export function meshPicture(look: MeshLook, version: number): string {
   const { azimuth_deg, elevation_deg, cut, share, colours } = look;
-  return `${API}picture/${azimuth_deg.toFixed(1)}/${elevation_deg.toFixed(1)}/${cut}/${share.toFixed(3)}/${colours}?v=${version}`;
-}
-
-/** The outlines that an organ was made from. */
-export async function fetchOutlines(organ: string): Promise<readonly Outline[]> {
-  return (await asked(`outlines/${encodeURIComponent(organ)}`)).json() as Promise<readonly Outline[]>;
+  return `mesh/${azimuth_deg.toFixed(1)}/${elevation_deg.toFixed(1)}/${cut}/${share.toFixed(3)}/${colours}?v=${version}`;
 }

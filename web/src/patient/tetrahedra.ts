@@ -2,7 +2,7 @@
 import { facts, item, named, options, part } from "./dom";
 import { text } from "../language";
 import { Loader } from "./loader";
-import { pictureAddress, type MeshLook, type MeshSummary, type PatientState } from "./state";
+import { meshPicture, type MeshLook, type MeshSummary, type PatientState } from "./state";
 
 /** Share by which the volume of an organ may be off. */
 const WELL_MET = 0.015;
@@ -19,12 +19,13 @@ const ARROWS: Readonly<Record<string, readonly [number, number]>> = {
 };
 
 export class TetrahedraSection {
-  private readonly loader = new Loader("");
+  private readonly loader: Loader;
   private azimuth_deg = 20;
   private elevation_deg = 16;
   private version = 0;
 
-  constructor() {
+  constructor(pictureOf: (name: string) => Promise<string>) {
+    this.loader = new Loader(pictureOf);
     const view = part("picture");
     view.append(this.loader.picture);
     view.addEventListener("pointerdown", (event) => view.setPointerCapture(event.pointerId));
@@ -55,7 +56,7 @@ export class TetrahedraSection {
       colours: part<HTMLSelectElement>("colours").value as MeshLook["colours"],
     };
     part("quality").hidden = look.colours !== "quality";
-    this.loader.load(pictureAddress(look, this.version));
+    this.loader.load(meshPicture(look, this.version));
   }
 
   /** Shows the tetrahedra as they are by now. */

@@ -57,7 +57,7 @@ const DRAWN_STEP = 3;
 const NEAR_MM = 6;
 
 export class PlaneView {
-  private readonly loader = new Loader("");
+  private readonly loader: Loader;
   private readonly marks = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   private cross: Cross | null = null;
   /** How far the wheel was turned since the last slice. */
@@ -69,7 +69,9 @@ export class PlaneView {
     private readonly plane: PlaneName,
     private readonly node: HTMLElement,
     private readonly handlers: PlaneHandlers,
+    pictureOf: (name: string) => Promise<string>,
   ) {
+    this.loader = new Loader(pictureOf);
     // Lines are given in hundredths of the picture's sides.
     this.marks.setAttribute("viewBox", "0 0 100 100");
     this.marks.setAttribute("preserveAspectRatio", "none");
@@ -83,9 +85,9 @@ export class PlaneView {
     node.addEventListener("keydown", (event) => this.key(event));
   }
 
-  /** Shows the slice at an address. */
-  load(address: string): void {
-    this.loader.load(address);
+  /** Shows the slice of this name. */
+  load(name: string): void {
+    this.loader.load(name);
   }
 
   /** Shows the cross, the points near the plane and the outlines in it. */

@@ -5,7 +5,7 @@ import { keysIn, LANGUAGE, text } from "../language";
 import type { TextKey } from "../texts_en";
 
 export type PlayerAction =
-  | "play" | "frame_back" | "frame_on" | "second_back" | "second_on" | "begin" | "end" | "slower" | "faster" | "moment_back" | "moment_on" | "bookmark" | "couple" | "align"
+  | "play" | "frame_back" | "frame_on" | "second_back" | "second_on" | "begin" | "end" | "slower" | "faster" | "moment_back" | "moment_on" | "bookmark" | "take_over" | "couple" | "align"
   | "reset_view" | "turn_left" | "turn_right" | "turn_up" | "turn_down" | "nearer" | "further" | "wireframe" | "forces" | "fixed_nodes"
   | "bodies" | "contacts" | "theatre" | "wipe" | "outside" | "detail" | "tool_1" | "tool_2" | "tool_3" | "tool_4" | "tool_5" | "screenshot" | "help" | "leave";
 
@@ -36,6 +36,7 @@ export const PLAYER_BINDINGS: ReadonlyArray<Binding<PlayerAction>> = [
   own("recording", "moment_on", "]", plain("]")),
   own("recording", "bookmark", "*", typed("*")),
   own("recording", "align", "B", plain("b")),
+  own("recording", "take_over", "A", plain("a")),
   ...asInViewer("reset_view"),
   own("view", "couple", "G", plain("g")),
   own("view", "turn_left", "J", plain("j"), true),
@@ -65,7 +66,7 @@ export const PLAYER_MOUSE: ReadonlyArray<readonly [string, string]> = [
 export const PLAYER_BUTTONS: ButtonGroups<PlayerAction> = [
   [button("frame_back", text("replay_button_frame_back"), "←"), button("play", text("replay_button_play"), "␣"), button("frame_on", text("replay_button_frame_on"), "→")],
   [button("slower", text("replay_button_slower"), "<"), button("faster", text("replay_button_faster"), ">")],
-  [button("moment_back", text("replay_button_moment_back"), "["), button("moment_on", text("replay_button_moment_on"), "]"), button("bookmark", text("replay_bookmark"), "*")],
+  [button("moment_back", text("replay_button_moment_back"), "["), button("moment_on", text("replay_button_moment_on"), "]"), button("bookmark", text("replay_bookmark"), "*"), button("take_over", text("replay_button_take_over"), "A")],
   [button("couple", text("replay_button_couple"), "G"), button("align", text("replay_button_align"), "B")],
   [button("tool_1", "1", "1"), button("tool_2", "2", "2"), button("tool_3", "3", "3"), button("tool_4", "4", "4"), button("tool_5", "5", "5")],
   [button("reset_view", text("button_reset_view"), "R"), button("wireframe", text("button_wireframe"), "W"), button("fixed_nodes", text("button_fixed_nodes"), "T"), button("contacts", text("button_contacts"), "C"), button("forces", text("button_forces"), "F")],

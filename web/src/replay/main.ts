@@ -4,9 +4,10 @@ import "../lists.css";
 import "./replay.css";
 import { text, translatePage } from "../language";
 import { nameOfRecording } from "./bookmarks";
-import { findReplayPage, recordingsInPage } from "./page";
+import { findReplayPage, recordingsInPage, simulatorInPage } from "./page";
 import { Player, type PlayerReport } from "./player";
 import { Recording } from "./recording";
+import { reasonOf } from "../reason";
 
 declare global {
   interface Window {
@@ -21,8 +22,8 @@ async function start(): Promise<void> {
   const all = recordingsInPage();
   if (all.length === 0) throw new Error(text("replay_no_recording"));
   const recordings = await Promise.all(all.map((bytes) => Recording.read(bytes)));
-  const player = new Player(page, recordings, all.map(nameOfRecording).join("+"));
-  Object.defineProperty(window, "glissonReplay", { get: () => player.report() });
+  const player = new Player(page, recordings, all.map(nameOfRecording).join("+"), simulatorInPage());
+  Object.defineProperty(window, "glissonReplay", { get: () => player.report(), configurable: true });
 }
 
 start().catch((error: unknown) => {
@@ -30,5 +31,5 @@ start().catch((error: unknown) => {
   const banner = document.getElementById("banner");
   if (banner === null) return;
   banner.hidden = false;
-  banner.textContent = text("replay_cannot_start", { reason: error instanceof Error ? error.message : String(error) });
+  banner.textContent = text("replay_cannot_start", { reason: reasonOf(error) });
 });

@@ -1,4 +1,6 @@
+import { bytesOfBase64 } from "../base64";
 import { text } from "../language";
+import { become, filled, taken, unpacked } from "../page_parts";
 
 /** The fixed parts of replay.html. */
 export interface ReplayPage {
@@ -64,27 +66,21 @@ export function partsBeside(page: ReplayPage): ReplayPage {
   return { ...page, scene, outside, contacts: document.createElement("div") };
 }
 
-/** Letters of base64 that are decoded at once: whole groups of four. */
-const PORTION = 1 << 20;
-
-/** Decodes base64. @throws Error if it is none */
-export function bytesOfBase64(letters: string): Uint8Array {
-  const bytes = new Uint8Array(Math.floor((letters.length * 3) / 4));
-  let n = 0;
-  for (let at = 0; at < letters.length; at += PORTION) {
-    const portion = atob(letters.slice(at, at + PORTION));
-    for (let i = 0; i < portion.length; i++) bytes[n++] = portion.charCodeAt(i);
-  }
-  return bytes.subarray(0, n);
-}
-
 /** The recordings that `glisson export` put into the page: none, one, or two to be compared. */
 export function recordingsInPage(): Uint8Array[] {
-  return ["recording", "recording-beside"].flatMap((id) => {
-    const element = document.getElementById(id);
-    const letters = element?.textContent?.trim() ?? "";
-    // They are not needed any more.
-    element?.remove();
-    return letters === "" ? [] : [bytesOfBase64(letters)];
-  });
+  const letters = ["recording", "recording-beside"].map(taken);
+  return letters.filter((some) => some !== "").map(bytesOfBase64);
+}
+
+/** The simulator of what was recorded, where the page has it: takes the page's place with the simulation at a step. */
+export function simulatorInPage(): ((step: number) => Promise<void>) | null {
+  const letters = taken("simulator");
+  if (letters === "") return null;
+  let isTaken = false;
+  return async (step) => {
+    if (isTaken) return;
+    isTaken = true;
+    const page = new TextDecoder().decode(await unpacked(bytesOfBase64(letters)));
+    become(filled(page, "take-over", String(step)));
+  };
 }

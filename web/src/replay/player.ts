@@ -69,12 +69,13 @@ export class Player {
   private playback: Playback;
   private readonly history = new ForceHistory();
   private viewChanged = true;
+  private isLeaving = false;
   private frameAsked = false;
   private lastFrame_ms: number | null = null;
   private readonly shown = { style: 0, contacts: false, forces: true, fixedNodes: false, detail: "auto" as DetailChoice };
 
-  /** `recordings`: one, or two to be compared; `name`: of what is in the page, for what the browser keeps of it. */
-  constructor(private readonly page: ReplayPage, recordings: readonly Recording[], name: string) {
+  /** `recordings`: one, or two to be compared; `name`: of what is in the page, for what the browser keeps of it; `takeOver`: simulates on from a step. */
+  constructor(private readonly page: ReplayPage, recordings: readonly Recording[], name: string, private readonly takeOver: ((step: number) => Promise<void>) | null) {
     this.messages = new Messages(page.messages);
     const parts = recordings.length > 1 ? [page, partsBeside(page)] : [page];
     this.views = new Views(parts, recordings, {
@@ -134,6 +135,7 @@ export class Player {
     const tracks = views.all.map(({ recording }, i) => ({ recording, start_s: views.clock.start_s(i), colour: COLOURS[i] }));
     this.timeline.begin(tracks, views.clock.frames_s);
     for (const action of ["couple", "align"] as const) bar.offer(action, action === "couple" ? views.isPair : views.clock.canBeginWithTask);
+    bar.offer("take_over", this.takeOver !== null);
     this.bodies.begin(hello.bodies);
     hello.tools.forEach(({ name }, tool) => this.bar.name(`tool_${tool + 1}` as PlayerAction, name));
     for (let tool = 0; tool < MOST_TOOLS; tool++) this.bar.offer(`tool_${tool + 1}` as PlayerAction, hello.tools.length > 1 && tool < hello.tools.length);
@@ -232,6 +234,7 @@ export class Player {
   }
 
   private run(action: PlayerAction): void {
+    if (this.isLeaving) return;
     const { playback, views } = this;
     const tool = toolNumber(action);
     if (tool !== null) this.choose(tool);
@@ -252,6 +255,12 @@ export class Player {
       case "bookmark":
         playback.playing = false;
         this.bookmarks.mark();
+        break;
+      case "take_over":
+        playback.playing = false;
+        this.isLeaving = this.takeOver !== null && views.first.header !== null;
+        if (this.isLeaving) void this.takeOver!(views.first.header!.step);
+        else this.messages.notice(text("replay_no_simulator"));
         break;
       case "couple":
         views.coupled = !views.coupled;
@@ -279,9 +288,7 @@ export class Player {
         for (const scene of scenes) scene.showFixed(this.shown.fixedNodes);
         break;
       case "bodies": this.bodies.hideNext(); break;
-      case "theatre":
-        this.turnTheatre();
-        break;
+      case "theatre": this.turnTheatre(); break;
       case "wipe": for (const { theatre } of views.all) theatre.smear = 0; break;
       case "outside": for (const { theatre } of views.all) theatre.toggleOutside(); break;
       case "detail":

@@ -29,6 +29,7 @@ use std::path::{Path, PathBuf};
     glisson export out/tasks/palpation.jsonl --html palpation.html\n  \
     glisson export session.jsonl --html session.html --rate 60 --precision-mm 0.01\n  \
     glisson export mine.jsonl --beside experts.jsonl --html both.html\n  \
+    glisson export session.jsonl --take-over --html session.html     plays, and simulates on from any moment\n  \
     glisson export out/tasks/palpation.jsonl --mp4 palpation.mp4 --view endoscope --from 2 --to 8\n  \
     glisson export session.jsonl --pvd session.pvd --rate 10         for ParaView: stress, strain, displacement at each moment\n  \
     glisson export session.jsonl --usda session.usda                 for Blender, Omniverse and others"
@@ -61,7 +62,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             args.html.as_ref().context("a scene can be written as --html; record it first for the others")?;
         ensure!(
             args.page.is_usual(),
-            "--beside, --rate, --precision-mm and --check are for sessions; this is a scene"
+            "--beside, --rate, --precision-mm, --take-over and --check are for sessions; this is a scene"
         );
         scene_page::export(&args.source, &scene, html)
     } else if let Some(html) = &args.html {

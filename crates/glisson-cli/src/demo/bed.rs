@@ -4,8 +4,8 @@ use anyhow::Context;
 use glisson::math::Aabb;
 use glisson::world::World;
 use glisson_lab::bed::write_liver_on_bed;
+use glisson_picture::{Camera, Caption, CaptionPlace, Picture, PictureScene, View, looks_of, shown_of};
 use glisson_runtime::{OpenScene, Simulation};
-use glisson_view::picture::{Camera, Caption, CaptionPlace, Picture, PictureScene, View, looks_of, shown_of};
 use std::path::{Path, PathBuf};
 
 const PICTURE_SIZE: [usize; 2] = [1280, 800];

@@ -6,11 +6,11 @@ use glisson::files::write_atomically;
 use glisson::math::DVec3;
 use glisson::model::StateHash;
 use glisson::world::World;
-use glisson_runtime::replay::{self, read_session};
-use glisson_runtime::{OpenScene, Simulation};
-use glisson_view::picture::{
+use glisson_picture::{
     Arrow, Camera, Caption, CaptionPlace, Instrument, Look, Picture, PictureScene, ShadedSurface, View,
 };
+use glisson_runtime::replay::{self, read_session};
+use glisson_runtime::{OpenScene, Simulation};
 use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;

@@ -4,9 +4,7 @@ use super::scenery::Files;
 use glisson::image::LabelMap;
 use glisson::image::labels::Parts;
 use glisson::surface::extract::{SurfaceParams, surface_of_mask};
-use glisson_view::picture::{
-    Camera, Caption, CaptionPlace, Look, Picture, PictureScene, ShadedSurface, View,
-};
+use glisson_picture::{Camera, Caption, CaptionPlace, Look, Picture, PictureScene, ShadedSurface, View};
 
 /// What is shown, front organs and the spine behind them.
 const ORGANS: [&str; 9] = [

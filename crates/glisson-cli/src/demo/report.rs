@@ -7,7 +7,7 @@ use glisson::image::files::{read_label_map, read_volume};
 use glisson::image::labels::{Parts, dice, mask_volume_m3};
 use glisson::mesh::files::read_mesh;
 use glisson::mesh::quality::MeshQuality;
-use glisson_view::picture::{SlicePlane, SliceSpec, slice_picture};
+use glisson_picture::{SlicePlane, SliceSpec, slice_picture};
 use glisson_view::plot::{LinePlot, Series, SeriesStyle};
 use serde_json::json;
 

@@ -15,12 +15,12 @@ use glisson::mesh::files::{read_mesh, write_mesh};
 use glisson::model::StateHash;
 use glisson::tool::ToolInput;
 use glisson::world::World;
+use glisson_picture::{
+    Arrow, Camera, Caption, CaptionPlace, Instrument, Look, Picture, PictureScene, ShadedSurface, View,
+};
 use glisson_runtime::replay::{self, read_session};
 use glisson_runtime::script::{Clip, bleeding_ml_per_min};
 use glisson_runtime::{OpenScene, Simulation};
-use glisson_view::picture::{
-    Arrow, Camera, Caption, CaptionPlace, Instrument, Look, Picture, PictureScene, ShadedSurface, View,
-};
 use serde_json::json;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

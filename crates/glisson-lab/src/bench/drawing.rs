@@ -2,7 +2,7 @@
 
 use super::body::ellipsoid_surface;
 use super::{Case, Prepared, Settings};
-use glisson_view::picture::{Camera, Look, Picture, PictureScene, ShadedSurface, View, bounds_of};
+use glisson_picture::{Camera, Look, Picture, PictureScene, ShadedSurface, View, bounds_of};
 
 pub(super) const CASES: &[Case] = &[Case {
     name: "picture",

@@ -82,7 +82,7 @@ impl Simulation {
         Ok(())
     }
 
-    /// Whether it goes on from where a session was cut off: then it stands still at first.
+    /// Whether it goes on from a moment of a session: then it stands still at first.
     pub(crate) fn is_resumed(&self) -> bool {
         self.is_resumed
     }

@@ -77,7 +77,7 @@ pub struct Simulation {
     recorder: Option<Recorder>,
     /// Why the session is not recorded any more.
     lost_recording: Option<String>,
-    /// It goes on from where a session was cut off.
+    /// It goes on from a moment of a session.
     is_resumed: bool,
     builder: Option<Background<BuiltModel>>,
     incidents: Incidents,

@@ -1,6 +1,6 @@
 //! Pictures to a film, by `ffmpeg`, which gets them through a pipe as they are.
 
-use crate::picture::Picture;
+use glisson_picture::Picture;
 use std::ffi::OsString;
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -179,7 +179,7 @@ impl Encoder {
     /// When the encoder has given up.
     pub fn add(&mut self, picture: &Picture) -> Result<(), EncoderError> {
         let stdin = self.child.stdin.as_mut();
-        if stdin.is_some_and(|stdin| stdin.write_all(&picture.rgb).is_ok()) {
+        if stdin.is_some_and(|stdin| stdin.write_all(picture.rgb()).is_ok()) {
             return Ok(());
         }
         // It reads no more, and says why itself.

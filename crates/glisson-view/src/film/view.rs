@@ -1,14 +1,14 @@
 //! The picture of a simulation as a film shows it.
 
-use crate::picture::{
-    Camera, Caption, CaptionPlace, Instrument, Look, Picture, PictureScene, Shown, View, looks_of, shown_of,
-};
 use anyhow::Context;
 use glisson::math::{Aabb, DVec3};
 use glisson::record::snapshot::{DisplayTopology, Snapshot};
 use glisson::tool::Tool;
 use glisson::tool::endoscope::Eye;
 use glisson::world::World;
+use glisson_picture::{
+    Camera, Caption, CaptionPlace, Instrument, Look, Picture, PictureScene, Shown, View, looks_of, shown_of,
+};
 use glisson_runtime::Simulation;
 use std::fmt::Write as _;
 

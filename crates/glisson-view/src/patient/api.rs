@@ -8,8 +8,8 @@ use axum::http::{StatusCode, header};
 use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post, put};
-use glisson::math::DVec3;
 use glisson::progress::{part, tell};
+use glisson_patient::{Opened, SCENE_NAME, SceneChoice, meshes_in};
 use glisson_runtime::Simulation;
 use serde::Deserialize;
 use serde_json::json;
@@ -20,14 +20,8 @@ use std::path::Path;
 use std::pin::Pin;
 use std::sync::Arc;
 
-use super::image::{Image, series_of};
-use super::mesh_picture::{Colours, MeshView};
-use super::organ::OrganChoice;
-use super::scene::{SCENE_NAME, SceneChoice, meshes_in};
-use super::steps::{PatientPage, Shared, Source, Steps, begin, still};
-use super::tetrahedra::Meshed;
+use super::steps::{PatientPage, Shared, Source, Steps, begin, begin_step, still};
 use super::upload::Upload;
-use crate::picture::SlicePlane;
 use crate::server::access::{self, Access};
 use crate::server::limits::Places;
 use crate::server::viewer_file;
@@ -39,18 +33,6 @@ struct OpenChoice {
     upload: Option<u64>,
     /// From 1.
     series: Option<usize>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct MeshChoice {
-    tetrahedra: usize,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Named {
-    name: String,
 }
 
 /// Reads what came as image number `upload`, a series of what was read before, or the image that the program was started with.
@@ -70,32 +52,22 @@ fn open(shared: &Arc<Shared>, choice: &OpenChoice) -> Response {
         // Where the step is cancelled, files that came for it go too.
         let incoming =
             Forgotten { upload: &shared.upload, number: source.upload.filter(|_| earlier != source.upload) };
-        let read = part(0.0, 0.9, || Image::read(&source.path, chosen));
-        let series = series_of(&source.path);
+        let opened = part(0.0, 0.9, || Opened::read(&source.path, chosen));
         incoming.keep();
-        let image = match read {
-            Ok(image) => Some(Arc::new(image)),
-            // The page asks which.
-            Err(_) if !series.is_empty() && chosen.is_none() => None,
-            Err(error) => {
-                if series.is_empty() {
-                    forget(source.upload);
-                }
-                // How the user's files are called is nobody else's business.
-                let words = format!("{error:#}").replace(&source.path.display().to_string(), "the image");
-                anyhow::bail!(if source.upload.is_some() { words } else { format!("{error:#}") });
-            }
-        };
+        // Of several series another one may be asked for.
+        let has_several = opened.has_several();
+        if !has_several {
+            forget(source.upload);
+        }
+        let is_upload = source.upload.is_some();
+        let opened = if is_upload { opened.without_names(&source.path) } else { opened };
+        let change = opened.change()?;
         if earlier != source.upload {
             forget(earlier);
         }
-        // Of several series another one may be asked for.
-        if series.is_empty() {
-            forget(source.upload);
-        }
         Ok(Box::new(move |steps: &mut Steps| {
-            (steps.series, steps.source) = (series, Some(source));
-            take_image(steps, image);
+            steps.patient.take(change);
+            steps.source = Some(source);
         }))
     });
     // Files that nobody reads are not kept.
@@ -123,55 +95,20 @@ impl Drop for Forgotten<'_> {
     }
 }
 
-fn take_image(steps: &mut Steps, image: Option<Arc<Image>>) {
-    steps.n_images += u64::from(image.is_some());
-    steps.image = image;
-    (steps.organs, steps.mesh) = (Arc::default(), None);
-}
-
-/// Takes the numbers of the image for values, where they were taken for labels.
-fn take_as_values(shared: &Arc<Shared>) -> Response {
-    let image = shared.steps().image.clone();
-    begin(shared, "reading the image", move |_| {
-        let image = Arc::new(image.context("there is no image yet")?.as_values()?);
-        Ok(Box::new(move |steps: &mut Steps| take_image(steps, Some(image))))
-    })
-}
-
-fn find_organ(shared: &Arc<Shared>, choice: OrganChoice) -> Response {
-    let (image, organs) = shared.image_and_organs();
-    begin(shared, "finding the organ", move |_| {
-        let image = image.context("there is no image yet")?;
-        let organs = organs.with(choice.find(&image)?, image.grid())?;
-        Ok(Box::new(move |steps: &mut Steps| (steps.organs, steps.mesh) = (Arc::new(organs), None)))
-    })
-}
-
-fn remove_organ(shared: &Arc<Shared>, name: String) -> Response {
-    let (image, organs) = shared.image_and_organs();
-    begin(shared, "removing an organ", move |_| {
-        let image = image.context("there is no image yet")?;
-        let organs = organs.without(&name, image.grid());
-        Ok(Box::new(move |steps: &mut Steps| (steps.organs, steps.mesh) = (Arc::new(organs), None)))
-    })
-}
-
-fn fill(shared: &Arc<Shared>, choice: &MeshChoice) -> Response {
-    let organs = Arc::clone(&shared.steps().organs);
-    let n_tets = choice.tetrahedra;
-    begin(shared, "filling with tetrahedra", move |_| {
-        let mesh = Meshed::of(organs.map().context("there is no organ yet")?, n_tets)?;
-        Ok(Box::new(move |steps: &mut Steps| steps.mesh = Some(Arc::new(mesh))))
-    })
+/// Begins the step of this name.
+fn step(shared: &Arc<Shared>, name: &str, choice: &str) -> Response {
+    let step = shared.steps().patient.step(name, choice);
+    match step {
+        None => (StatusCode::NOT_FOUND, "there is no such step\n").into_response(),
+        Some(Err(error)) => (StatusCode::UNPROCESSABLE_ENTITY, format!("{error}\n")).into_response(),
+        Some(Ok(step)) => begin_step(shared, step),
+    }
 }
 
 fn start(shared: &Arc<Shared>, choice: SceneChoice) -> Response {
-    let mesh = shared.steps().mesh.clone();
+    let write = shared.steps().patient.scene(choice, shared.page.folder.clone());
     begin(shared, "starting the simulation", move |shared| {
-        let mesh = mesh.context("there are no tetrahedra yet")?;
-        std::fs::create_dir_all(&shared.page.folder)
-            .with_context(|| shared.page.folder.display().to_string())?;
-        let scene = choice.write(&mesh.names, &mesh.bodies(), &shared.page.folder)?;
+        let scene = write()?;
         tell(0.05);
         let simulation = part(0.05, 1.0, || (shared.page.open)(&scene))?;
         Ok(Box::new(move |steps: &mut Steps| steps.simulation = Some(simulation)))
@@ -188,63 +125,24 @@ fn leave(shared: &Shared) -> Response {
     StatusCode::ACCEPTED.into_response()
 }
 
-/// What a picture that is drawn elsewhere became.
-async fn drawn(draw: impl FnOnce() -> anyhow::Result<Vec<u8>> + Send + 'static) -> Response {
-    match tokio::task::spawn_blocking(draw).await.unwrap_or_else(|error| Err(error.into())) {
+/// A picture, drawn elsewhere.
+async fn picture(State(shared): State<Arc<Shared>>, UrlPath(name): UrlPath<String>) -> Response {
+    let drawing = shared.steps().patient.picture(&name);
+    let drawn = match drawing {
+        Ok(draw) => tokio::task::spawn_blocking(draw).await.unwrap_or_else(|error| Err(error.into())),
+        Err(error) => Err(error),
+    };
+    match drawn {
         Ok(bytes) => ([(header::CONTENT_TYPE, "image/png"), (header::CACHE_CONTROL, "no-store")], bytes)
             .into_response(),
         Err(error) => (StatusCode::BAD_REQUEST, format!("{error:#}\n")).into_response(),
     }
 }
 
-fn plane_named(name: &str) -> anyhow::Result<SlicePlane> {
-    match name {
-        "axial" => Ok(SlicePlane::Axial),
-        "coronal" => Ok(SlicePlane::Coronal),
-        "sagittal" => Ok(SlicePlane::Sagittal),
-        _ => anyhow::bail!("allowed planes: axial, coronal, sagittal"),
-    }
-}
-
-/// Plane, a point of it [mm], centre and width of the window.
-type SliceAt = (String, f64, f64, f64, f64, f64);
-
-async fn slice(State(shared): State<Arc<Shared>>, UrlPath(at): UrlPath<SliceAt>) -> Response {
-    let (plane, x, y, z, centre, width) = at;
-    let (image, organs) = shared.image_and_organs();
-    drawn(move || {
-        let image = image.context("there is no image yet")?;
-        let numbers = [x, y, z, centre, width];
-        anyhow::ensure!(numbers.iter().all(|x| x.is_finite()), "a number of the slice is not finite");
-        image.slice_png(organs.map(), plane_named(&plane)?, 1e-3 * DVec3::new(x, y, z), [centre, width])
-    })
-    .await
-}
-
-/// Azimuth and elevation [degrees], plane of the cut or "none", share of the box that it takes away, "organ" or "quality".
-type PictureAt = (f64, f64, String, f64, String);
-
-async fn picture(State(shared): State<Arc<Shared>>, UrlPath(at): UrlPath<PictureAt>) -> Response {
-    let mesh = shared.steps().mesh.clone();
-    drawn(move || {
-        let (azimuth_deg, elevation_deg, plane, share, colours) = at;
-        let mesh = mesh.context("there are no tetrahedra yet")?;
-        let cut = if plane == "none" { None } else { Some((plane_named(&plane)?, share)) };
-        let colours = match colours.as_str() {
-            "organ" => Colours::Organ,
-            "quality" => Colours::Quality,
-            _ => anyhow::bail!("allowed colours: organ, quality"),
-        };
-        mesh.picture_png(&MeshView { azimuth_deg, elevation_deg, cut, colours })
-    })
-    .await
-}
-
 /// The outlines that an organ was made from.
 async fn outlines(State(shared): State<Arc<Shared>>, UrlPath(name): UrlPath<String>) -> Response {
-    let organs = Arc::clone(&shared.steps().organs);
-    match organs.list().iter().find(|organ| organ.name == name) {
-        Some(organ) => axum::Json(&organ.outlines).into_response(),
+    match shared.steps().patient.outlines(&name) {
+        Some(outlines) => axum::Json(outlines).into_response(),
         None => (StatusCode::NOT_FOUND, "there is no such organ\n").into_response(),
     }
 }
@@ -294,18 +192,14 @@ type Asked<T> = (State<Arc<Shared>>, axum::Json<T>);
 fn router(shared: Arc<Shared>, access: Access) -> Router {
     let steps = Router::new()
         .route("/open", post(|(State(s), axum::Json(c)): Asked<OpenChoice>| async move { open(&s, &c) }))
-        .route("/values", post(|State(s): State<Arc<Shared>>| async move { take_as_values(&s) }))
-        .route(
-            "/organ",
-            post(|(State(s), axum::Json(c)): Asked<OrganChoice>| async move { find_organ(&s, c) }),
-        )
-        .route(
-            "/remove",
-            post(|(State(s), axum::Json(c)): Asked<Named>| async move { remove_organ(&s, c.name) }),
-        )
-        .route("/mesh", post(|(State(s), axum::Json(c)): Asked<MeshChoice>| async move { fill(&s, &c) }))
         .route("/start", post(|(State(s), axum::Json(c)): Asked<SceneChoice>| async move { start(&s, c) }))
         .route("/leave", post(|State(s): State<Arc<Shared>>| async move { leave(&s) }))
+        .route(
+            "/{step}",
+            post(|State(s): State<Arc<Shared>>, UrlPath(name): UrlPath<String>, choice: String| async move {
+                step(&s, &name, &choice)
+            }),
+        )
         .route(
             "/cancel",
             post(|State(s): State<Arc<Shared>>| async move {
@@ -319,8 +213,7 @@ fn router(shared: Arc<Shared>, access: Access) -> Router {
         .route("/api/patient/state", get(state))
         .route("/api/patient/files", post(begin_upload))
         .route("/api/patient/files/{image}/{name}", put(keep))
-        .route("/api/patient/slice/{plane}/{x}/{y}/{z}/{centre}/{width}", get(slice))
-        .route("/api/patient/picture/{azimuth}/{elevation}/{cut}/{share}/{colours}", get(picture))
+        .route("/api/patient/pictures/{*name}", get(picture))
         .route("/api/patient/outlines/{organ}", get(outlines))
         .route("/", get(|| async { viewer_file("patient.html") }))
         .route("/{*path}", get(|UrlPath(path): UrlPath<String>| async move { viewer_file(&path) }))

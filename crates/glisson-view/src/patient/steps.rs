@@ -4,19 +4,15 @@ use crate::job::Job;
 use anyhow::Context;
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
-use glisson::material::tissues::TISSUES;
 use glisson::progress::watched;
+use glisson_patient::{Patient, Step};
 use glisson_runtime::Simulation;
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::Notify;
 
-use super::image::Image;
-use super::organ::{Organ, Organs};
-use super::scene::{HELD, MODELS};
-use super::tetrahedra::{Meshed, QUALITY_STEPS, TETRAHEDRA};
 use super::upload::Upload;
 
 /// Until a simulation that is ready takes over from the page, unless the page asks before. A choice.
@@ -40,19 +36,11 @@ pub struct PatientPage {
 /// How far the patient is.
 #[derive(Default)]
 pub(super) struct Steps {
-    pub(super) image: Option<Arc<Image>>,
-    /// Grows with each image.
-    pub(super) n_images: u64,
-    /// Series to choose from, where there are several, and where they are.
-    pub(super) series: Vec<String>,
+    pub(super) patient: Patient,
     pub(super) source: Option<Source>,
-    pub(super) organs: Arc<Organs>,
-    pub(super) mesh: Option<Arc<Meshed>>,
     pub(super) simulation: Option<Simulation>,
     job: Option<Arc<Job>>,
     error: Option<String>,
-    /// Grows whenever pictures change.
-    version: u64,
 }
 
 /// Where an image is read from.
@@ -85,12 +73,6 @@ impl Shared {
         self.steps.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The image, and the organs that were found in it.
-    pub(super) fn image_and_organs(&self) -> (Option<Arc<Image>>, Arc<Organs>) {
-        let steps = self.steps();
-        (steps.image.clone(), Arc::clone(&steps.organs))
-    }
-
     /// What runs.
     pub(super) fn running(&self) -> Option<String> {
         self.steps().job.as_ref().map(|job| job.what.clone())
@@ -108,11 +90,7 @@ impl Shared {
         let mut steps = self.steps();
         steps.job = None;
         match outcome {
-            Some(Ok(change)) => {
-                change(&mut steps);
-                // Where the simulation takes over, nobody is left to draw anew.
-                steps.version += u64::from(steps.simulation.is_none());
-            }
+            Some(Ok(change)) => change(&mut steps),
             Some(Err(error)) => steps.error = Some(format!("{error:#}")),
             None => {}
         }
@@ -122,26 +100,12 @@ impl Shared {
     /// What the page shows.
     pub(super) fn state(&self) -> Value {
         let steps = self.steps();
-        let summaries = |organs: &[Arc<Organ>]| organs.iter().map(|o| o.summary.clone()).collect::<Vec<_>>();
-        json!({
-            "version": steps.version,
-            "image_number": steps.n_images,
-            "job": steps.job.as_deref().map(Job::state),
-            "error": steps.error,
-            "series": steps.series,
-            "image": steps.image.as_ref().map(|image| &image.summary),
-            "organs": summaries(steps.organs.list()),
-            "mesh": steps.mesh.as_ref().map(|mesh| &mesh.summary),
-            "started": steps.simulation.is_some(),
-            "can_leave": self.page.may_leave,
-            "offers": {
-                "tissues": TISSUES.iter().map(|tissue| tissue.name).collect::<Vec<_>>(),
-                "models": MODELS.iter().map(|model| json!({"name": model.name, "about": model.about})).collect::<Vec<_>>(),
-                "held": HELD.iter().map(|held| held.name).collect::<Vec<_>>(),
-                "tetrahedra": TETRAHEDRA,
-                "quality": QUALITY_STEPS.map(|step| json!({"from_deg": step.from_deg, "colour": step.colour})),
-            },
-        })
+        let mut state = steps.patient.state();
+        state["job"] = steps.job.as_deref().map(Job::state).into();
+        state["error"] = steps.error.clone().into();
+        state["started"] = steps.simulation.is_some().into();
+        state["can_leave"] = self.page.may_leave.into();
+        state
     }
 }
 
@@ -181,4 +145,12 @@ pub(super) fn begin(
         }
     });
     StatusCode::ACCEPTED.into_response()
+}
+
+/// Begins a step of the patient's.
+pub(super) fn begin_step(shared: &Arc<Shared>, step: Step) -> Response {
+    begin(shared, step.what, move |_| {
+        let change = step.run()?;
+        Ok(Box::new(move |steps: &mut Steps| steps.patient.take(change)))
+    })
 }

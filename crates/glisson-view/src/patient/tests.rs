@@ -136,9 +136,9 @@ fn files_become_a_simulation_step_by_step() {
     let opened = done(address, "open", &json!({"upload": upload}));
     assert_eq!(opened["error"], Value::Null);
     assert_eq!(opened["image"]["labels"], json!([{"label": 5, "name": "liver"}]));
-    let (status, png) = ask(address, "GET", "/api/patient/slice/axial/40/40/40/2/5", "", b"");
+    let (status, png) = ask(address, "GET", "/api/patient/pictures/slice/axial/40/40/40/2/5", "", b"");
     assert!(status == 200 && png.starts_with(b"\x89PNG"), "{status}");
-    assert_eq!(ask(address, "GET", "/api/patient/slice/oblique/40/40/40/2/5", "", b"").0, 400);
+    assert_eq!(ask(address, "GET", "/api/patient/pictures/slice/oblique/40/40/40/2/5", "", b"").0, 400);
     for (choice, words) in [
         (json!({"name": "liver", "label": "spleen"}), "spleen"),
         (json!({"name": " ", "label": "5"}), "name"),
@@ -162,12 +162,12 @@ fn files_become_a_simulation_step_by_step() {
         "0/0/sagittal/1/quality",
     ];
     let pictures = pictures.map(|view| {
-        let (status, png) = ask(address, "GET", &format!("/api/patient/picture/{view}"), "", b"");
+        let (status, png) = ask(address, "GET", &format!("/api/patient/pictures/mesh/{view}"), "", b"");
         assert!(status == 200 && png.starts_with(b"\x89PNG"), "{view}: {status}");
         png
     });
     assert!(pictures[0] != pictures[1] && pictures[2] != pictures[3]);
-    assert_eq!(ask(address, "GET", "/api/patient/picture/NaN/0/none/0/organ", "", b"").0, 400);
+    assert_eq!(ask(address, "GET", "/api/patient/pictures/mesh/NaN/0/none/0/organ", "", b"").0, 400);
     let refused = done(address, "start", &json!({"model": "magic"}));
     assert!(error_of(&refused).contains("implicit"), "{refused}");
     let started = done(address, "start", &json!({"held": "below"}));

@@ -1,6 +1,7 @@
 //! Files that come by the page: each image in a folder of its own until it is read.
 
 use anyhow::{Context, ensure};
+use glisson_patient::image_among;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -62,20 +63,9 @@ impl Upload {
         Ok(IncomingFile { file, path, n_bytes: 0, is_whole: false })
     }
 
-    /// What is to be read of an image: its only file, the only header among files, or the folder.
+    /// What is to be read of an image.
     pub(super) fn image(&self, image: u64) -> anyhow::Result<PathBuf> {
-        let folder = self.folder_of(image);
-        let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten();
-        let mut files: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
-        files.sort();
-        let headers: Vec<&PathBuf> =
-            files.iter().filter(|path| has_extension(path, &["mhd", "nhdr"])).collect();
-        match (&files[..], &headers[..]) {
-            ([], _) => anyhow::bail!("no file came: drop a folder or a file of an image"),
-            ([only], _) => Ok(only.clone()),
-            (_, [header]) => Ok((*header).clone()),
-            _ => Ok(folder),
-        }
+        image_among(&self.folder_of(image))
     }
 
     /// Deletes what came of an image.
@@ -137,10 +127,6 @@ impl Drop for Upload {
 /// Deletes a folder; where it is not there, or cannot be deleted, nobody is there to be told.
 fn delete(folder: &Path) {
     let _ = std::fs::remove_dir_all(folder);
-}
-
-fn has_extension(path: &Path, extensions: &[&str]) -> bool {
-    path.extension().is_some_and(|found| extensions.iter().any(|name| found.eq_ignore_ascii_case(name)))
 }
 
 /// A name that stays in the folder: its last part, as headers name the files of their numbers.

@@ -1,5 +1,6 @@
 //! A session as a page that plays it.
 
+use super::scene_page::simulator_of;
 use super::{Replayed, replayed};
 use crate::commands::output::{check_extension, make_folder_of};
 use crate::commands::progress::with_bar;
@@ -11,7 +12,7 @@ use glisson::record::snapshot::ContactPoints;
 use glisson::training::task::TaskRecord;
 use glisson::world::World;
 use glisson_runtime::{Simulation, replay};
-use glisson_view::recording::page::{page_with, recordings_in};
+use glisson_view::recording::page::{page_with, recordings_in, with_simulator};
 use glisson_view::recording::read::RecordingReader;
 use glisson_view::recording::write::{About, Recording, RecordingSettings, RecordingWriter, TimedNote};
 use std::path::{Path, PathBuf};
@@ -32,6 +33,9 @@ pub(super) struct PageOptions {
     /// Positions are written as whole numbers of this, 0.001 to 1 mm; coordinates are off by half of it at most
     #[arg(long, value_name = "MM", conflicts_with_all = ["mp4", "pvd", "usda"], default_value_t = DEFAULT_PRECISION_MM, value_parser = precision_mm)]
     precision_mm: f64,
+    /// Put the simulation itself in the page, which then goes on from any moment at a press of a key; some 4 MB more
+    #[arg(long, conflicts_with_all = ["beside", "mp4", "pvd", "usda"])]
+    take_over: bool,
     /// Read the written file again, and all of its frames
     #[arg(long, conflicts_with_all = ["mp4", "pvd", "usda"])]
     check: bool,
@@ -40,8 +44,9 @@ pub(super) struct PageOptions {
 impl PageOptions {
     /// Whether nothing is asked of the page of a session.
     pub(super) fn is_usual(&self) -> bool {
-        let Self { beside, rate, precision_mm, check } = self;
-        beside.is_none() && *rate == DEFAULT_RATE_HZ && *precision_mm == DEFAULT_PRECISION_MM && !check
+        let Self { beside, rate, precision_mm, take_over, check } = self;
+        let is_of_one = beside.is_none() && !take_over && !check;
+        is_of_one && *rate == DEFAULT_RATE_HZ && *precision_mm == DEFAULT_PRECISION_MM
     }
 }
 
@@ -78,6 +83,7 @@ pub(super) fn export(source: &Source, html: &Path, options: &PageOptions) -> any
     let beside = options.beside.as_deref().map(|session| source.beside(session));
     let sources: Vec<&Source> = std::iter::once(source).chain(&beside).collect();
     let sessions = sources.iter().map(|source| source.read()).collect::<anyhow::Result<Vec<Session>>>()?;
+    let simulator = options.take_over.then(|| simulator_of(source, &sessions[0])).transpose()?;
     let settings =
         RecordingSettings { rate_hz: f64::from(options.rate), step_m: 1e-3 * options.precision_mm };
     let is_pair = sources.len() > 1;
@@ -92,7 +98,12 @@ pub(super) fn export(source: &Source, html: &Path, options: &PageOptions) -> any
         })
         .collect::<anyhow::Result<Vec<Exported>>>()?;
     let bytes: Vec<&[u8]> = all.iter().map(|one| one.recording.bytes.as_slice()).collect();
-    let page = page_with(&bytes).context("the program's page is gone")?;
+    let page = page_with(&bytes);
+    let page = match &simulator {
+        Some(simulator) => page.and_then(|page| with_simulator(page, simulator)),
+        None => page,
+    };
+    let page = page.context("the program's page is gone")?;
     make_folder_of(html)?;
     write_text(html, &page)?;
     for (source, one) in sources.iter().zip(&all) {

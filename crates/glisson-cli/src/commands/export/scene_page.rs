@@ -1,17 +1,21 @@
-//! A scene as a page that has its simulation in itself.
+//! A scene, or a session, as a page that has the simulation in itself.
 
 use crate::commands::output::{check_extension, make_folder_of};
 use crate::commands::replay::Source;
 use crate::text_file::write_text;
 use anyhow::{Context, ensure};
+use glisson::record::session::Session;
 use glisson::scene::Scene;
 use glisson_runtime::OpenScene;
+use glisson_runtime::replay::check_version;
 use glisson_runtime::tasks::{TASKS, task_named};
-use glisson_view::local_page::{has_local_page, local_page_with};
+use glisson_view::local_page::{check_built, local_page_with};
 use std::path::{Component, Path, PathBuf};
 
 /// What the scene's file is called in the page.
 const SCENE: &str = "scene.toml";
+/// What a session's is called.
+const SESSION: &str = "session.jsonl";
 /// The folder of its files there.
 const FOLDER: &str = "scene";
 
@@ -34,37 +38,60 @@ pub(super) fn scene_of(source: &Source) -> anyhow::Result<Option<Scene>> {
 
 pub(super) fn export(source: &Source, scene: &Scene, html: &Path) -> anyhow::Result<()> {
     check_extension(html, &["html", "htm"])?;
-    ensure!(
-        has_local_page(),
-        "this program was built without the simulator for browsers; `cargo xtask web` builds it, then `cargo xtask demo` the program"
-    );
-    let folder = inner_folder(scene);
-    let scene_name = format!("{folder}/{SCENE}");
-    let mut files = vec![(scene_name.clone(), scene.text.clone().into_bytes())];
-    for file in scene.files() {
-        let path = source.folder().join(&file);
-        let bytes = std::fs::read(&path).with_context(|| format!("{}: cannot read", path.display()))?;
-        let name = name_within(&folder, &file);
-        let is_taken = files.iter().any(|(other, there)| *other == name && *there != bytes);
-        ensure!(
-            !is_taken,
-            "{}: another file of the scene has the same place, {name}, in the page",
-            path.display()
-        );
-        files.push((name, bytes));
-    }
-    let page = local_page_with(&scene_name, &files).context("the program's page is gone")?;
+    check_built()?;
+    let files = FilesInPage::of(scene, source.folder(), SCENE, scene.text.clone().into_bytes())?;
+    let page = files.page()?;
     make_folder_of(html)?;
     write_text(html, &page)?;
     println!("scene            {}", scene.world.name);
-    println!(
-        "files            {} beside the scene, {:.2} MB",
-        files.len() - 1,
-        mb(files.iter().map(|(_, bytes)| bytes.len()).sum())
-    );
+    println!("files            {} beside the scene, {:.2} MB", files.all.len() - 1, mb(files.n_bytes()));
     println!("size             {:.2} MB", mb(page.len()));
     println!("written          {}; a browser opens it, without a server or a network", html.display());
     Ok(())
+}
+
+/// The page that simulates on from any step of a session, for the page that plays it.
+pub(super) fn simulator_of(source: &Source, session: &Session) -> anyhow::Result<String> {
+    check_built()?;
+    check_version(session)?;
+    let scene = Scene::parse_recorded(&session.header)?;
+    let path = source.session();
+    let text = std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))?;
+    FilesInPage::of(&scene, source.folder(), SESSION, text)?.page()
+}
+
+/// Files by their names in a page; it begins with the first.
+struct FilesInPage {
+    all: Vec<(String, Vec<u8>)>,
+}
+
+impl FilesInPage {
+    /// A first file, and those that a scene names beside it.
+    fn of(scene: &Scene, folder: &Path, name: &str, bytes: Vec<u8>) -> anyhow::Result<Self> {
+        let inner = inner_folder(scene);
+        let mut all = vec![(format!("{inner}/{name}"), bytes)];
+        for file in scene.files() {
+            let path = folder.join(&file);
+            let bytes = std::fs::read(&path).with_context(|| format!("{}: cannot read", path.display()))?;
+            let name = name_within(&inner, &file);
+            let is_taken = all.iter().any(|(other, there)| *other == name && *there != bytes);
+            ensure!(
+                !is_taken,
+                "{}: another file of the scene has the same place, {name}, in the page",
+                path.display()
+            );
+            all.push((name, bytes));
+        }
+        Ok(Self { all })
+    }
+
+    fn n_bytes(&self) -> usize {
+        self.all.iter().map(|(_, bytes)| bytes.len()).sum()
+    }
+
+    fn page(&self) -> anyhow::Result<String> {
+        local_page_with(&self.all[0].0, &self.all)
+    }
 }
 
 fn mb(bytes: usize) -> f64 {

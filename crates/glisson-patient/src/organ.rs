@@ -33,7 +33,7 @@ enum Method {
 /// An outline in a slice of the image, LPS [mm].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Outline {
+pub struct Outline {
     /// A point of the slice.
     through_mm: [f64; 3],
     /// Corners in turn; none: the organ is not in this slice.

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::picture::{SlicePlane, SliceSpec, slice_picture};
+use glisson_picture::{SlicePlane, SliceSpec, slice_picture};
 
 /// Window of a CT's soft tissue [HU]: centre and width.
 const SOFT_TISSUE_HU: [f64; 2] = [60.0, 400.0];

@@ -7,7 +7,7 @@ use glisson::mesh::quality::FACES;
 use glisson::surface::TriMesh;
 
 use super::tetrahedra::{Meshed, QUALITY_STEPS, step_of};
-use crate::picture::{Camera, Look, Picture, PictureScene, ShadedSurface, SlicePlane, View};
+use glisson_picture::{Camera, Look, Picture, PictureScene, ShadedSurface, SlicePlane, View};
 
 /// Size of a picture [pixels].
 const SIZE: [usize; 2] = [640, 420];

@@ -13,18 +13,18 @@
 //! Deterministic: work is split into fixed bands of rows, no step depends on the number of threads, and
 //! the only transcendental function is a table of the sRGB curve rounded to bytes.
 
-mod camera;
-mod clip;
-mod geometry;
-mod instrument;
-mod look;
 mod noise;
-mod of_world;
+mod look;
 mod piece;
+mod instrument;
+mod camera;
+mod geometry;
+mod clip;
+mod of_world;
 mod raster;
 mod shade;
-mod slice;
 mod text;
+mod slice;
 
 pub use camera::{Camera, View};
 pub use geometry::{Arrow, ShadedSurface, bounds_of};
@@ -129,7 +129,12 @@ impl Picture {
         Ok(picture)
     }
 
-    /// Red, green and blue of each pixel, row by row from the top; 8-bit sRGB.
+    /// Red, green, blue of each pixel, row by row from the top; 8-bit sRGB.
+    pub fn rgb(&self) -> &[u8] {
+        &self.rgb
+    }
+
+    /// [`Picture::rgb`], kept.
     pub fn into_rgb(self) -> Vec<u8> {
         self.rgb
     }

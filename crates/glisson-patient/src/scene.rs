@@ -67,7 +67,7 @@ pub(super) const MESH_NAME: &str = "organ.vtu";
 /// With a number, those of several bodies.
 const MESH_PREFIX: &str = "organ-";
 /// The scene that the page writes.
-pub(super) const SCENE_NAME: &str = "scene.toml";
+pub const SCENE_NAME: &str = "scene.toml";
 /// Share of the nodes that is held: a choice, that of the demo.
 const HELD_FRACTION: f64 = 0.1;
 /// Radius of the probe's tip, and how far in front of the organ it waits [m]: choices.
@@ -149,7 +149,7 @@ impl SceneChoice {
 }
 
 /// Files of meshes in a folder that the page writes, as it names them.
-pub(super) fn meshes_in(folder: &Path) -> Vec<PathBuf> {
+pub fn meshes_in(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let is_mesh = |name: &str| {
         let number = name.strip_prefix(MESH_PREFIX).and_then(|rest| rest.strip_suffix(".vtu"));

@@ -1,5 +1,6 @@
 // Time of a step in Node, of the simulation that pages have in themselves (`cargo xtask web` compiles it): `npm run bench:local`.
-// The phantom's liver, which an instrument presses; processor time, medians of ten runs. `--separate`: without fused arithmetic.
+// The phantom's liver, which an instrument presses; processor time, medians of ten runs. `--separate`: without fused arithmetic;
+// `--rapier`: a block, beside rapier's soft body.
 import { readFileSync } from "node:fs";
 import { setFlagsFromString } from "node:v8";
 import { build } from "vite";
@@ -39,19 +40,28 @@ const bytes = new Uint8Array(readFileSync(new URL("wasm/glisson.wasm", import.me
 const compiled = await WebAssembly.compile(process.argv.includes("--separate") ? unfused(bytes) : bytes);
 const median = (numbers) => numbers.sort((a, b) => a - b)[Math.floor(numbers.length / 2)];
 
-for (const tetrahedra of [2000, 6180]) {
-  for (const [name, [model, step, steps]] of Object.entries(CASES)) {
-    const program = await Program.start(compiled, new Map([["scene.toml", new TextEncoder().encode(scene(model, step, tetrahedra))]]));
-    const begun = process.cpuUsage();
-    program.openRun("scene.toml");
-    const opening = process.cpuUsage(begun);
-    // Until the engine has compiled it well, and the instrument touches.
-    program.run(4 * steps);
-    const times = Array.from({ length: 10 }, () => {
-      const before = process.cpuUsage();
-      program.run(steps);
-      return process.cpuUsage(before).user / 1e3 / steps;
-    });
-    console.log(JSON.stringify({ name, tetrahedra, arithmetic: program.arithmetic(), opening_s: opening.user / 1e6, step_ms: Number(median(times).toFixed(4)) }));
+/** Runs a scene of these files, and says how long its steps take. */
+async function measure(about, files, steps) {
+  const program = await Program.start(compiled, new Map(Object.entries(files).map(([name, text]) => [name, new TextEncoder().encode(text)])));
+  const begun = process.cpuUsage();
+  program.openRun("scene.toml");
+  const opening = process.cpuUsage(begun);
+  // Until the engine has compiled it well, and the instrument touches.
+  program.run(4 * steps);
+  const times = Array.from({ length: 10 }, () => {
+    const before = process.cpuUsage();
+    program.run(steps);
+    return process.cpuUsage(before).user / 1e3 / steps;
+  });
+  console.log(JSON.stringify({ ...about, arithmetic: program.arithmetic(), opening_s: opening.user / 1e6, step_ms: Number(median(times).toFixed(4)) }));
+}
+
+if (process.argv.includes("--rapier")) {
+  const { block, blockFile, blockScene, rapierSteps } = await import("./bench_rapier.mjs");
+  await measure({ name: "block, implicit, 10 ms, pressed by a ball", tetrahedra: block().tetrahedra.length }, { "scene.toml": blockScene(), "block.msh": blockFile() }, 100);
+  console.log(JSON.stringify({ name: "block, rapier's soft body, 10 ms, under a force", ...(await rapierSteps(400)) }));
+} else {
+  for (const tetrahedra of [2000, 6180]) {
+    for (const [name, [model, step, steps]] of Object.entries(CASES)) await measure({ name, tetrahedra }, { "scene.toml": scene(model, step, tetrahedra) }, steps);
   }
 }

@@ -2,6 +2,7 @@
 import { ButtonBar, button, type ButtonGroups } from "./button_bar";
 import type { ConnectionState } from "./connection";
 import { TOOL_ACTIONS } from "./actions";
+import { download } from "./download";
 import { BINDINGS, type Action, type Binding } from "./keys";
 import { languageChoice, text } from "./language";
 import type { Stereo } from "./theatre/stereo";
@@ -235,13 +236,4 @@ export async function savePicture(picture: Promise<Blob>, step: number, messages
     messages.error(text("not_saved", { why: error instanceof Error ? error.message : String(error) }));
     return false;
   }
-}
-
-/** Offers `content` as a file to save. */
-export function download(content: Blob, name: string): void {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(content);
-  link.download = name;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }

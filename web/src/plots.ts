@@ -2,7 +2,7 @@
 import { CHARTS, type ChartKind } from "./chart_kinds";
 import { ChartHistory, drawChart } from "./charts";
 import { text } from "./language";
-import { download } from "./overlays";
+import { download } from "./download";
 import { lengthOf, type Panel } from "./panel";
 import { arrowScale_m_per_n, ForceHistory } from "./plot";
 import { headerOfHand, type SnapshotHeader } from "./protocol";

@@ -1,12 +1,12 @@
 /** The steps of the page's own Worker: nothing leaves the page. */
 import { text } from "../language";
+import { download } from "../download";
 import { become } from "../page_parts";
 import type { Desk } from "../patient/desk";
 import type { Outline, PatientState, Step } from "../patient/state";
 import { reasonOf } from "../reason";
 import type { Files } from "./calling";
 import { Ended, PatientLink } from "./patient_link";
-import { saveFile } from "./save_file";
 import { withStep, type StepDone } from "./steps_done";
 
 /** Files of an image, and the Worker's folder for them. */
@@ -239,7 +239,7 @@ export class WorkerDesk implements Desk {
     const job = this.newJob();
     try {
       const page = await this.simulatorWith(await this.written(choice), SCENE);
-      saveFile("patient.html", new Blob([page], { type: "text/html" }));
+      download(new Blob([page], { type: "text/html" }), "patient.html");
     } finally {
       this.endJob(job);
     }

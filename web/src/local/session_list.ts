@@ -1,7 +1,7 @@
 /** The session of this visit, to be saved, and those of earlier ones that are kept. */
 import { text } from "../language";
 import { mayGoOn, OVER_AFTER_MS, type Kept, type KeptSession } from "./kept";
-import { saveFile } from "./save_file";
+import { download } from "../download";
 
 /** Letters, figures and hyphens of a name. */
 const inFileName = (name: string): string => name.toLowerCase().replaceAll(/[^\p{L}\p{N}]+/gu, "-").replaceAll(/^-|-$/g, "");
@@ -94,7 +94,7 @@ export class SessionList {
     const date = new Date(begun_ms).toISOString().slice(0, 19).replaceAll(/[:T]/g, "-");
     const press = async (): Promise<void> => {
       if (isOwn) await this.events.keep().then(() => this.writing);
-      saveFile(`${inFileName(name)}-${date}.jsonl`, await kept.session(id));
+      download(await kept.session(id), `${inFileName(name)}-${date}.jsonl`);
     };
     line.append(words, button(text("local_save"), press));
     // Another page may be recording it.

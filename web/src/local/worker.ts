@@ -108,9 +108,9 @@ function tell(program: Program): void {
 async function start({ module, files, begins, hidden }: Start): Promise<void> {
   // It may change while the scene is made.
   isHidden = hidden;
-  const tell = nowAndThen((share) => post({ share }));
+  const making = nowAndThen((share) => post({ share }));
   const fresh = await Program.start(module, files, (share) => {
-    if (program === null) tell(share);
+    if (program === null) making(share);
   });
   if ("scene" in begins) fresh.open(begins.scene, begins.demonstrates);
   else {

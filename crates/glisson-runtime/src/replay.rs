@@ -86,7 +86,7 @@ pub fn replay(
     let recorded = session.header.arithmetic;
     let other_arithmetic = (recorded != Arithmetic::here()).then_some(recorded);
     let Compared { recorded_hash, first_difference, checkpoints } =
-        follow(session, &mut simulation, after_step)?;
+        follow(session, last_step(session), &mut simulation, after_step)?;
     Ok(ReplayReport {
         other_arithmetic,
         steps: simulation.world().steps_made(),
@@ -120,8 +120,8 @@ pub fn resume(
         here.name()
     );
     let mut simulation = open_recorded(session, folder, n_threads)?;
-    let n_steps = session.events.last().map_or(0, SessionEvent::step);
-    let compared = follow(session, &mut simulation, |simulation| tell_of(simulation, n_steps))?;
+    let n_steps = last_step(session);
+    let compared = follow(session, n_steps, &mut simulation, |simulation| tell_of(simulation, n_steps))?;
     if let Some(step) = compared.first_difference {
         bail!(
             "the session cannot be gone on with: replayed by this program it differs from the check-point of step {step} on"
@@ -144,7 +144,7 @@ pub fn take_over(
     record: &Path,
 ) -> anyhow::Result<Simulation> {
     check_version(session)?;
-    let last = session.events.last().map_or(0, SessionEvent::step);
+    let last = last_step(session);
     ensure!(at_step <= last, "step {at_step} was asked for; the session has {last}");
     let mut taken = session.clone();
     taken.header.arithmetic = Arithmetic::here();
@@ -155,15 +155,14 @@ pub fn take_over(
     });
     let mut simulation = part(0.0, SHARE_OF_MAKING, || open_recorded(session, folder, 1))?;
     part(SHARE_OF_MAKING, 1.0, || {
-        let (_, input) = follow_with_input(&taken, &mut simulation, |now| tell_of(now, at_step))?;
-        while simulation.world().steps_made() < at_step {
-            simulation.advance(&input)?;
-            tell_of(&simulation, at_step)?;
-        }
-        anyhow::Ok(())
+        follow(&taken, at_step, &mut simulation, |simulation| tell_of(simulation, at_step))
     })?;
     simulation.go_on(&taken, folder, record)?;
     Ok(simulation)
+}
+
+fn last_step(session: &Session) -> u64 {
+    session.events.last().map_or(0, SessionEvent::step)
 }
 
 /// Whether the step itself brought what a session says of it: what somebody did came after it.
@@ -197,21 +196,13 @@ fn tell_of(simulation: &Simulation, n_steps: u64) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Makes all of the session's steps.
+/// Makes the session's steps, and those after its last event up to `n_steps`.
 fn follow(
     session: &Session,
-    simulation: &mut Simulation,
-    after_step: impl FnMut(&Simulation) -> anyhow::Result<()>,
-) -> anyhow::Result<Compared> {
-    follow_with_input(session, simulation, after_step).map(|(compared, _)| compared)
-}
-
-/// [`follow`], with the input that the next step would have.
-fn follow_with_input(
-    session: &Session,
+    n_steps: u64,
     simulation: &mut Simulation,
     mut after_step: impl FnMut(&Simulation) -> anyhow::Result<()>,
-) -> anyhow::Result<(Compared, StepInput)> {
+) -> anyhow::Result<Compared> {
     let homes: Vec<_> = simulation.world().tools().iter().map(|tool| tool.home).collect();
     let mut input = StepInput::of(&homes);
     let mut compared = Compared::default();
@@ -260,5 +251,9 @@ fn follow_with_input(
             SessionEvent::End { state_hash, .. } => compared.recorded_hash = Some(state_hash),
         }
     }
-    Ok((compared, input))
+    while simulation.world().steps_made() < n_steps {
+        simulation.advance(&input)?;
+        after_step(simulation)?;
+    }
+    Ok(compared)
 }

@@ -25,7 +25,7 @@ use crate::math::{DVec3, tetrahedron_volume_m3};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// A node as a mean of nodes of one tetrahedron.
+/// A node as a mean of nodes of one tetrahedron; places beyond the first `n` have the weight 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tie {
     n: u8,
@@ -50,11 +50,11 @@ impl Tie {
     }
 
     /// The mean of what its nodes have.
+    #[inline]
     pub fn mean(&self, of: impl Fn(NodeId) -> DVec3) -> DVec3 {
-        match self.single() {
-            Some(node) => of(node),
-            None => self.iter().map(|(node, weight)| of(node) * weight).sum(),
-        }
+        let Self { nodes: [a, b, c, d], weights, .. } = *self;
+        // Places that are not used have the weight 0.
+        DVec3::ZERO + of(a) * weights[0] + of(b) * weights[1] + of(c) * weights[2] + of(d) * weights[3]
     }
 
     /// The mean of means; none where that takes more than four nodes, or none at all.

@@ -98,15 +98,13 @@ pub struct Constraints {
     pub forces: Vec<NodalForce>,
 }
 
-/// What of a model changes in time: everything that the state hash covers.
+/// Where a model's nodes are and how fast. What else its next step depends on: [`DeformableModel::history_into`].
 #[derive(Clone, Copy, Debug)]
 pub struct ModelState<'a> {
     /// Node positions [m].
     pub positions_m: &'a [DVec3],
     /// Node velocities [m/s]; empty for a model in which nothing has inertia.
     pub velocities_m_per_s: &'a [DVec3],
-    /// Further numbers that the next step depends on (previous positions, viscous history).
-    pub history: &'a [f64],
 }
 
 /// Why a model cannot follow a change of the mesh.
@@ -192,8 +190,19 @@ pub trait DeformableModel: Send {
     /// Advances by `dt_s`; a quasi-static model goes to its equilibrium. Never fails, never allocates.
     fn step(&mut self, dt_s: f64);
 
-    /// Positions, velocities and history after the last step.
+    /// Positions and velocities after the last step.
     fn state(&self) -> ModelState<'_>;
+
+    /// Appends the further numbers that the next step depends on (previous positions, viscous history). With [`Self::state`]
+    /// they are all that changes in time.
+    fn history_into(&self, _numbers: &mut Vec<f64>) {}
+
+    /// The numbers of [`DeformableModel::history_into`].
+    fn history(&self) -> Vec<f64> {
+        let mut numbers = Vec::new();
+        self.history_into(&mut numbers);
+        numbers
+    }
 
     /// Force [N] that the constraint exerts on each node of `Constraints::displacements`, in its order,
     /// after the last step. A tool feels the opposite.
@@ -204,8 +213,9 @@ pub trait DeformableModel: Send {
     fn take_over(&mut self, positions_m: &[DVec3]);
 
     /// [`DeformableModel::take_over`] of another model's state, with its velocities where it tells them and this model has
-    /// its own answer to that: tissue in motion goes on. Others start at standstill.
-    fn take_over_in_motion(&mut self, state: &ModelState<'_>) {
+    /// its own answer to that: tissue in motion goes on. Others start at standstill. `history` has the other model's numbers;
+    /// only the clocks of bodies that have one are read.
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>, _history: &[f64]) {
         self.take_over(state.positions_m);
     }
 

@@ -180,11 +180,11 @@ impl DeformableModel for RigidBody {
     }
 
     fn state(&self) -> ModelState<'_> {
-        ModelState {
-            positions_m: &self.positions_m,
-            velocities_m_per_s: &self.velocities_m_per_s,
-            history: &self.clock_s,
-        }
+        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &self.velocities_m_per_s }
+    }
+
+    fn history_into(&self, numbers: &mut Vec<f64>) {
+        numbers.extend_from_slice(&self.clock_s);
     }
 
     fn constraint_forces_n(&self) -> &[DVec3] {
@@ -196,8 +196,8 @@ impl DeformableModel for RigidBody {
         self.set_clock(0.0);
     }
 
-    fn take_over_in_motion(&mut self, state: &ModelState<'_>) {
-        self.set_clock(state.history.first().copied().unwrap_or(0.0));
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>, history: &[f64]) {
+        self.set_clock(history.first().copied().unwrap_or(0.0));
         if state.velocities_m_per_s.len() == self.velocities_m_per_s.len() && self.moves() {
             self.velocities_m_per_s.copy_from_slice(state.velocities_m_per_s);
         }

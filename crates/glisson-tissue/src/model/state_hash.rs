@@ -1,6 +1,6 @@
 //! The state hash: equal hashes mean equal bits.
 
-use super::ModelState;
+use super::{DeformableModel, ModelState};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -10,9 +10,14 @@ use std::fmt;
 pub struct StateHash([u8; 32]);
 
 impl StateHash {
+    /// The hash of a model now.
+    pub fn of_model(model: &dyn DeformableModel, live: &[bool], surroundings: &[f64]) -> Self {
+        Self::of(&model.state(), &model.history(), live, surroundings)
+    }
+
     /// BLAKE3 of the little-endian bits of positions, velocities, history variables, the numbers of what surrounds
     /// the body, and live flags, each list preceded by its length.
-    pub fn of(state: &ModelState<'_>, live: &[bool], surroundings: &[f64]) -> Self {
+    pub fn of(state: &ModelState<'_>, history: &[f64], live: &[bool], surroundings: &[f64]) -> Self {
         let mut hasher = blake3::Hasher::new();
         for vectors in [state.positions_m, state.velocities_m_per_s] {
             hasher.update(&(vectors.len() as u64).to_le_bytes());
@@ -22,7 +27,7 @@ impl StateHash {
                 }
             }
         }
-        for numbers in [state.history, surroundings] {
+        for numbers in [history, surroundings] {
             hasher.update(&(numbers.len() as u64).to_le_bytes());
             for x in numbers {
                 hasher.update(&x.to_le_bytes());
@@ -79,17 +84,16 @@ mod tests {
     fn one_bit_of_anything_changes_the_hash_and_text_brings_it_back() {
         let positions = [DVec3::new(1.0, 2.0, 3.0)];
         let velocities = [DVec3::ZERO];
-        let state = ModelState { positions_m: &positions, velocities_m_per_s: &velocities, history: &[0.5] };
-        let hash = StateHash::of(&state, &[true], &[]);
+        let state = ModelState { positions_m: &positions, velocities_m_per_s: &velocities };
+        let hash = StateHash::of(&state, &[0.5], &[true], &[]);
         let negative_zero = [DVec3::new(0.0, -0.0, 0.0)];
         assert_ne!(
             hash,
-            StateHash::of(&ModelState { velocities_m_per_s: &negative_zero, ..state }, &[true], &[])
+            StateHash::of(&ModelState { velocities_m_per_s: &negative_zero, ..state }, &[0.5], &[true], &[])
         );
-        assert_ne!(hash, StateHash::of(&state, &[true], &[0.0]));
-        assert_ne!(hash, StateHash::of(&ModelState { history: &[0.5, 0.0], ..state }, &[true], &[]));
-        assert_ne!(hash, StateHash::of(&state, &[true], &[0.0]));
-        assert_ne!(hash, StateHash::of(&state, &[false], &[]));
+        assert_ne!(hash, StateHash::of(&state, &[0.5], &[true], &[0.0]));
+        assert_ne!(hash, StateHash::of(&state, &[0.5, 0.0], &[true], &[]));
+        assert_ne!(hash, StateHash::of(&state, &[0.5], &[false], &[]));
         assert_eq!(StateHash::try_from(hash.to_string()), Ok(hash));
         assert!(StateHash::try_from("zz".repeat(32)).is_err());
     }

@@ -408,7 +408,7 @@ fn a_snapshot_brings_the_motion_back() {
             model.apply(&inputs);
             model.step(body.time_step_s);
         }
-        StateHash::of(&model.state(), &[], &[])
+        StateHash::of_model(model, &[], &[])
     };
     advance(&mut model);
     let snapshot = model.snapshot();

@@ -43,7 +43,7 @@ pub(crate) fn clamped(nodes: &[NodeId]) -> Vec<FixedNode> {
 pub(crate) fn bits(model: &dyn DeformableModel) -> Vec<u64> {
     let state = model.state();
     let vectors = state.positions_m.iter().chain(state.velocities_m_per_s);
-    vectors.flat_map(|v| v.to_array()).chain(state.history.iter().copied()).map(f64::to_bits).collect()
+    vectors.flat_map(|v| v.to_array()).chain(model.history()).map(f64::to_bits).collect()
 }
 
 fn assert_upright(mesh: &TetMesh, positions_m: &[DVec3]) {

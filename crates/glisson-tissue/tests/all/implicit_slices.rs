@@ -168,12 +168,11 @@ fn with_a_factor_pending_a_restored_snapshot_and_a_copy_have_the_same_bits() {
 fn what_is_pending_is_part_of_the_history() {
     let body = Dragged::new();
     let mut model = body.model();
-    let n_without = model.state().history.len();
+    let n_without = model.history().len();
     let step = body.until_pending(&mut model, 0);
-    let n_with = model.state().history.len();
+    let n_with = model.history().len();
     assert!(n_with > n_without);
-    let slices_done =
-        |model: &ImplicitEuler| model.state().history[n_with - 5 - 12 * body.mesh.tetrahedra.len()];
+    let slices_done = |model: &ImplicitEuler| model.history()[n_with - 5 - 12 * body.mesh.tetrahedra.len()];
     assert_eq!(slices_done(&model), 1.0);
     body.go_on(&mut model, step..step + 1);
     assert_eq!(slices_done(&model), 2.0);

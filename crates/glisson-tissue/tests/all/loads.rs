@@ -699,7 +699,7 @@ fn duplicates_continue_with_the_same_bits() {
             let bits = |v: &DVec3| v.to_array().map(f64::to_bits);
             let positions: Vec<[u64; 3]> = state.positions_m.iter().map(bits).collect();
             let velocities: Vec<[u64; 3]> = state.velocities_m_per_s.iter().map(bits).collect();
-            let history: Vec<u64> = state.history.iter().map(|x| x.to_bits()).collect();
+            let history: Vec<u64> = model.history().iter().map(|x| x.to_bits()).collect();
             (positions, velocities, history)
         };
         assert!(run(&mut *model) == run(&mut *twin), "{kind:?}");

@@ -517,7 +517,7 @@ fn steps_are_divided_snapshots_come_back_and_runs_repeat() {
         for _ in 0..n {
             model.step(dt_s);
         }
-        model.state().history.iter().map(|x| x.to_bits()).collect::<Vec<_>>()
+        model.history().iter().map(|x| x.to_bits()).collect::<Vec<_>>()
     };
     let mut a = tensor_mass(&mesh, &fixed, 10.0);
     let h_s = a.time_step_s();

@@ -608,9 +608,8 @@ fn held_nodes_report_the_force_that_holds_them() {
 #[test]
 fn snapshots_come_back_and_runs_repeat_to_the_last_bit() {
     let (mesh, fixed, held) = bent_beam();
-    let bits = |body: &NonlinearTensorMass| -> Vec<u64> {
-        body.state().history.iter().map(|x| x.to_bits()).collect()
-    };
+    let bits =
+        |body: &NonlinearTensorMass| -> Vec<u64> { body.history().iter().map(|x| x.to_bits()).collect() };
     let run = |body: &mut NonlinearTensorMass| {
         (0..7).for_each(|_| body.step(0.01));
         bits(body)

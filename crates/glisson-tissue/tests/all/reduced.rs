@@ -261,7 +261,7 @@ fn copies_go_on_with_the_same_bits_and_without_allocation() {
     assert_eq!(run(&mut model, 0), run(&mut other, 0));
     let mut copy = model.duplicate();
     assert_eq!(run(&mut model, 5), run(&mut *copy, 5));
-    assert_eq!(model.state().history, copy.state().history);
+    assert_eq!(model.history(), copy.history());
     // Taken over from the other model, it starts where that one is.
     let places_m = model.state().positions_m.to_vec();
     let coordinates = model.coordinates().to_vec();

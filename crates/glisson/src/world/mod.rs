@@ -316,6 +316,11 @@ impl World {
         self.model.state()
     }
 
+    /// What else of the model its next step depends on ([`DeformableModel::history_into`]).
+    pub fn history(&self) -> Vec<f64> {
+        self.model.history()
+    }
+
     /// Hash of everything that the next step depends on but the input: the model's state, live tetrahedra, contacts
     /// and grasps, gravity, the loads' clock, blood lost, severed and clipped vessels. A model that was ordered counts from its first step on.
     /// When the next step finds the places inside which zones of a hybrid follows from the steps since the start and is not in it.
@@ -331,7 +336,7 @@ impl World {
         let surroundings = surroundings.chain(between).chain(self.sutures.iter().flat_map(Suture::numbers));
         let surroundings = surroundings.chain(self.loops.numbers());
         let surroundings: Vec<f64> = surroundings.collect();
-        StateHash::of(&self.model.state(), self.organ.live_tetrahedra(), &surroundings)
+        StateHash::of_model(self.model.as_ref(), self.organ.live_tetrahedra(), &surroundings)
     }
 
     /// Steps made so far.
@@ -481,7 +486,7 @@ impl World {
             && let Some(mut model) = swap.model
         {
             self.model.bring_up_to_date();
-            model.take_over_in_motion(&self.model.state());
+            model.take_over_in_motion(&self.model.state(), &self.model.history());
             model.set_gravity(self.pull_m_per_s2);
             self.model = model;
             self.keep_level_of_detail();

@@ -398,8 +398,7 @@ fn a_mesh_that_is_made_finer_has_finer_elements() {
     let plain = organ_of(first);
     let embedded = OrganBody { embeds_cuts: true, ..plain.clone() };
     let mut models = [plain, embedded].map(|organ| build_model(&organ, kind).unwrap());
-    let state =
-        |model: &dyn DeformableModel| (model.state().positions_m.to_vec(), model.state().history.to_vec());
+    let state = |model: &dyn DeformableModel| (model.state().positions_m.to_vec(), model.history());
     let region = FineRegion { center_m: 0.5 * SIZE_M, radius_m: 0.02, edge_m: 0.01 };
     let edits = refining(&mut mesh, &region).unwrap();
     let (mut change, mut kept) = (TopologyChange::default(), MeshUndo::default());

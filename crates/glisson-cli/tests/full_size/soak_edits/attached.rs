@@ -268,7 +268,7 @@ pub(super) struct Memory {
 impl Memory {
     pub(super) fn of(world: &World) -> Self {
         let mesh = world.organ().mesh();
-        let history = world.state().history;
+        let history = world.history();
         let numbers = history[3 * (2 * mesh.positions_m.len() + 1)..].to_vec();
         let of_tet = |t: usize| mesh.tet_volume_m3(TetId::from_index(t));
         Self { numbers, volumes_m3: (0..mesh.tetrahedra.len()).map(of_tet).collect() }

@@ -212,7 +212,7 @@ impl<'a> Patient<'a> {
         let found = [
             ("positions", report.n_non_finite_nodes as usize + not_finite(state.positions_m)),
             ("velocities", not_finite(state.velocities_m_per_s)),
-            ("history", state.history.iter().filter(|x| !x.is_finite()).count()),
+            ("history", self.world.history().iter().filter(|x| !x.is_finite()).count()),
             ("forces", not_finite(&forces_n)),
             ("energies", usize::from(!report.model.kinetic_energy_j.is_finite())),
         ];

@@ -54,7 +54,6 @@ pub struct Composite {
     // What all have together.
     positions_m: Vec<DVec3>,
     velocities_m_per_s: Vec<DVec3>,
-    history: Vec<f64>,
     imposed_at: Vec<ImposedAt>,
     constraint_forces_n: Vec<DVec3>,
     // Scratch of local models.
@@ -69,8 +68,6 @@ fn lock(part: &Mutex<Part>) -> MutexGuard<'_, Part> {
 
 /// Displacements at once for which room is kept.
 const IMPOSED: usize = 128;
-/// Room for histories that grow while tissue is in motion, as a share of what they are at rest.
-const SPARE_HISTORY: usize = 2;
 
 impl Composite {
     /// Joins bodies; the nodes and tetrahedra of the joint mesh are theirs, one body after the other. With `in_parallel` the
@@ -95,7 +92,6 @@ impl Composite {
             in_parallel,
             positions_m: Vec::new(),
             velocities_m_per_s: Vec::new(),
-            history: Vec::new(),
             imposed_at: Vec::with_capacity(IMPOSED),
             constraint_forces_n: Vec::with_capacity(IMPOSED),
             patch: Vec::with_capacity(most),
@@ -119,19 +115,17 @@ impl Composite {
     fn make_room(&mut self) {
         self.all().for_each(|mut part| part.make_room());
         self.publish();
-        self.history.reserve(SPARE_HISTORY * self.history.len());
         let n_nodes = self.maps.nodes.len();
         self.velocities_m_per_s.reserve(n_nodes.saturating_sub(self.velocities_m_per_s.len()));
     }
 
-    /// Brings the joint state up to date. The clocks of bodies that have one come first of the history.
+    /// Brings the joint state up to date.
     fn publish(&mut self) {
         let n_nodes = self.maps.nodes.len();
-        let Self { parts, maps, positions_m, velocities_m_per_s, history, .. } = self;
+        let Self { parts, maps, positions_m, velocities_m_per_s, .. } = self;
         let moves = parts.iter().any(|part| !lock(part).model.state().velocities_m_per_s.is_empty());
         positions_m.resize(n_nodes, DVec3::ZERO);
         velocities_m_per_s.resize(if moves { n_nodes } else { 0 }, DVec3::ZERO);
-        history.clear();
         for (p, part) in parts.iter().enumerate() {
             let part = lock(part);
             let state = part.model.state();
@@ -144,11 +138,6 @@ impl Composite {
             }
             for (&joint, velocity_m_per_s) in of_part.iter().zip(state.velocities_m_per_s) {
                 velocities_m_per_s[joint as usize] = *velocity_m_per_s;
-            }
-        }
-        for is_clock in [true, false] {
-            for part in parts.iter().map(lock).filter(|part| part.has_clock == is_clock) {
-                history.extend_from_slice(part.model.state().history);
             }
         }
     }
@@ -260,10 +249,15 @@ impl DeformableModel for Composite {
     }
 
     fn state(&self) -> ModelState<'_> {
-        ModelState {
-            positions_m: &self.positions_m,
-            velocities_m_per_s: &self.velocities_m_per_s,
-            history: &self.history,
+        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &self.velocities_m_per_s }
+    }
+
+    /// The clocks of bodies that have one come first.
+    fn history_into(&self, numbers: &mut Vec<f64>) {
+        for is_clock in [true, false] {
+            for part in self.all().filter(|part| part.has_clock == is_clock) {
+                part.model.history_into(numbers);
+            }
         }
     }
 
@@ -282,8 +276,8 @@ impl DeformableModel for Composite {
         self.publish();
     }
 
-    fn take_over_in_motion(&mut self, state: &ModelState<'_>) {
-        let mut clocks = state.history.iter();
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>, history: &[f64]) {
+        let mut clocks = history.iter();
         for (p, mut part) in self.all().enumerate() {
             let of_part = self.maps.nodes.of_part(p);
             let Part { model, moves_m, velocities_m_per_s, has_clock, .. } = &mut *part;
@@ -297,7 +291,7 @@ impl DeformableModel for Composite {
             let velocities_m_per_s: &[DVec3] =
                 if state.velocities_m_per_s.is_empty() { &[] } else { velocities_m_per_s };
             let history = if *has_clock { clocks.next().map_or(&[][..], std::slice::from_ref) } else { &[] };
-            model.take_over_in_motion(&ModelState { positions_m: moves_m, velocities_m_per_s, history });
+            model.take_over_in_motion(&ModelState { positions_m: moves_m, velocities_m_per_s }, history);
         }
         self.publish();
     }

@@ -43,7 +43,8 @@ pub struct Embedded {
     bearing: Bearing,
     positions_m: Vec<DVec3>,
     velocities_m_per_s: Vec<DVec3>,
-    history: Vec<f64>,
+    /// Nodes of the cut mesh that are not the copies' node of their number.
+    carried_nodes: Vec<NodeId>,
     /// Velocities of the copies' nodes before the last step [m/s].
     before_m_per_s: Vec<DVec3>,
     /// Motion of the copies' nodes [m]: scratch.
@@ -73,7 +74,7 @@ impl Embedded {
             bearing: Bearing::default(),
             positions_m: Vec::new(),
             velocities_m_per_s: Vec::new(),
-            history: Vec::new(),
+            carried_nodes: Vec::new(),
             before_m_per_s: Vec::new(),
             moves_m: Vec::new(),
             patch: Vec::with_capacity(LocalModel::MOST_NODES),
@@ -94,7 +95,11 @@ impl Embedded {
         self.before_m_per_s.resize(n_copied, DVec3::ZERO);
         self.moves_m.resize(n_copied, DVec3::ZERO);
         self.carried.make_room(n_copied, self.embedding.n_nodes());
-        self.publish_with_room();
+        let ties = (0..).map(NodeId::from_index).zip(self.embedding.ties());
+        self.carried_nodes.clear();
+        self.carried_nodes
+            .extend(ties.filter(|(node, tie)| tie.single() != Some(*node)).map(|(node, _)| node));
+        self.publish();
     }
 
     /// Where the cut mesh is.
@@ -102,27 +107,13 @@ impl Embedded {
         if self.is_whole {
             return;
         }
-        let Self { model, embedding, positions_m, velocities_m_per_s, history, .. } = self;
+        let Self { model, embedding, carried_nodes, positions_m, velocities_m_per_s, .. } = self;
         let state = model.state();
-        let spread = |of_copies: &[DVec3], of_cut: &mut Vec<DVec3>| {
-            of_cut.clear();
-            if !of_copies.is_empty() {
-                of_cut.extend(embedding.ties().iter().map(|tie| tie.mean(|node| of_copies[node.index()])));
-            }
-        };
-        spread(state.positions_m, positions_m);
-        spread(state.velocities_m_per_s, velocities_m_per_s);
-        history.clear();
-        for numbers in [state.positions_m, state.velocities_m_per_s] {
-            history.extend(numbers.iter().flat_map(|v| v.to_array()));
-        }
-        history.extend_from_slice(state.history);
-    }
-
-    /// The same with room for histories that grow while tissue is in motion.
-    fn publish_with_room(&mut self) {
-        self.publish();
-        self.history.reserve(self.history.len());
+        let n_nodes = embedding.n_nodes();
+        positions_m.resize(n_nodes, DVec3::ZERO);
+        velocities_m_per_s.resize(if state.velocities_m_per_s.is_empty() { 0 } else { n_nodes }, DVec3::ZERO);
+        spread(embedding, carried_nodes, state.positions_m, positions_m);
+        spread(embedding, carried_nodes, state.velocities_m_per_s, velocities_m_per_s);
     }
 
     /// What the copies' nodes have where those of the cut mesh have `of_cut`, as near as can be, from what they have at `rest` on.
@@ -193,6 +184,20 @@ impl Embedded {
     }
 }
 
+/// What the nodes of the cut mesh have of what the copies' nodes have; nothing where these have nothing. `carried` are the nodes that
+/// are not the copies' node of their number.
+fn spread(embedding: &Embedding, carried: &[NodeId], of_copies: &[DVec3], of_cut: &mut [DVec3]) {
+    if of_copies.is_empty() {
+        return;
+    }
+    let n_common = of_cut.len().min(of_copies.len());
+    of_cut[..n_common].copy_from_slice(&of_copies[..n_common]);
+    for node in carried {
+        let tie = &embedding.ties()[node.index()];
+        of_cut[node.index()] = tie.mean(|of| of_copies[of.index()]);
+    }
+}
+
 /// Rounds of fitting copies to places of the cut mesh.
 const FITS: usize = 30;
 
@@ -243,11 +248,17 @@ impl DeformableModel for Embedded {
         if self.is_whole {
             return self.model.state();
         }
-        ModelState {
-            positions_m: &self.positions_m,
-            velocities_m_per_s: &self.velocities_m_per_s,
-            history: &self.history,
+        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &self.velocities_m_per_s }
+    }
+
+    fn history_into(&self, numbers: &mut Vec<f64>) {
+        if !self.is_whole {
+            let of_copies = self.model.state();
+            for vectors in [of_copies.positions_m, of_copies.velocities_m_per_s] {
+                numbers.extend(vectors.iter().flat_map(|v| v.to_array()));
+            }
         }
+        self.model.history_into(numbers);
     }
 
     fn constraint_forces_n(&self) -> &[DVec3] {
@@ -265,9 +276,9 @@ impl DeformableModel for Embedded {
         self.publish();
     }
 
-    fn take_over_in_motion(&mut self, state: &ModelState<'_>) {
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>, history: &[f64]) {
         if self.is_whole {
-            self.model.take_over_in_motion(state);
+            self.model.take_over_in_motion(state, history);
             return;
         }
         let positions_m =
@@ -276,9 +287,8 @@ impl DeformableModel for Embedded {
             [] => Vec::new(),
             known => self.fit(known, |_| DVec3::ZERO),
         };
-        let of_copies =
-            ModelState { positions_m: &positions_m, velocities_m_per_s: &velocities_m_per_s, history: &[] };
-        self.model.take_over_in_motion(&of_copies);
+        let of_copies = ModelState { positions_m: &positions_m, velocities_m_per_s: &velocities_m_per_s };
+        self.model.take_over_in_motion(&of_copies, &[]);
         self.before_m_per_s.fill(DVec3::ZERO);
         self.publish();
     }
@@ -373,9 +383,7 @@ impl DeformableModel for Embedded {
         } else {
             self.model.answer_into(of_copies, &mut self.moves_m, at);
         }
-        for (move_m, tie) in moves_m.iter_mut().zip(self.embedding.ties()) {
-            *move_m = tie.mean(|node| self.moves_m[node.index()]);
-        }
+        spread(&self.embedding, &self.carried_nodes, &self.moves_m, moves_m);
     }
 
     fn correct_step(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {

@@ -539,11 +539,11 @@ impl Mover for ExplicitBody {
     }
 
     fn state(&self) -> ModelState<'_> {
-        ModelState {
-            positions_m: &self.positions_m,
-            velocities_m_per_s: &self.velocities_m_per_s,
-            history: self.integrator.history(),
-        }
+        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &self.velocities_m_per_s }
+    }
+
+    fn history_into(&self, numbers: &mut Vec<f64>) {
+        numbers.extend_from_slice(self.integrator.history());
     }
 
     fn constraint_forces_n(&self) -> &[DVec3] {

@@ -637,11 +637,11 @@ impl Mover for ExplicitMotion {
     }
 
     fn state(&self) -> ModelState<'_> {
-        ModelState {
-            positions_m: &self.positions_m,
-            velocities_m_per_s: &self.velocities_m_per_s,
-            history: self.motion.as_flattened(),
-        }
+        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &self.velocities_m_per_s }
+    }
+
+    fn history_into(&self, numbers: &mut Vec<f64>) {
+        numbers.extend_from_slice(self.motion.as_flattened());
     }
 
     fn constraint_forces_n(&self) -> &[DVec3] {

@@ -20,8 +20,11 @@ pub(in crate::model) trait Mover {
     /// Takes over the constraints that hold from the next step on.
     fn apply(&mut self, constraints: &Constraints);
 
-    /// Positions, velocities and history after the last step.
+    /// Positions and velocities after the last step.
     fn state(&self) -> ModelState<'_>;
+
+    /// Appends the further numbers that the next step depends on.
+    fn history_into(&self, numbers: &mut Vec<f64>);
 
     /// Force [N] that the constraint exerts on each held node.
     fn constraint_forces_n(&self) -> &[DVec3];
@@ -90,6 +93,10 @@ impl<M: ExplicitDynamics> DeformableModel for M {
 
     fn state(&self) -> ModelState<'_> {
         self.mover().state()
+    }
+
+    fn history_into(&self, numbers: &mut Vec<f64>) {
+        self.mover().history_into(numbers);
     }
 
     fn constraint_forces_n(&self) -> &[DVec3] {

@@ -17,7 +17,6 @@ impl ExplicitKernel {
 
     /// An increment is that of the last part of the step, its velocity that of the whole.
     pub(super) fn correct_nodes(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
-        let n_nodes = self.rest.positions_m.len();
         let last_s = self.kernel.last_step_s().unwrap_or(dt_s);
         let per_step = 1.0 / self.kernel.last_step_s().unwrap_or(self.time_step_s);
         for force in forces {
@@ -29,14 +28,13 @@ impl ExplicitKernel {
             let n = node.index();
             let displacement_m = self.kernel.displacement_m(node) + move_m;
             self.kernel.set_displacement(node, displacement_m);
-            self.history[n] = displacement_m.to_array();
+            self.displacements_m[n] = displacement_m;
             self.positions_m[n] = self.rest.positions_m[n] + displacement_m;
             if correction == Correction::Places {
                 continue;
             }
             let increment_m = self.kernel.increment_m(node) + move_m * (last_s / dt_s);
             self.kernel.set_increment(node, increment_m);
-            self.history[n_nodes + n] = increment_m.to_array();
             // As states are shown everywhere else, so that an undone edit finds the same bits.
             let velocity_m_per_s = increment_m * per_step;
             let before_m_per_s = std::mem::replace(&mut self.velocities_m_per_s[n], velocity_m_per_s);

@@ -58,7 +58,7 @@ impl ExplicitKernel {
     fn shape_of(&self, element: usize) -> (P1Gradients, [usize; 4], [DVec3; 4]) {
         let nodes = self.rest.tetrahedra[element].map(NodeId::index);
         let gradients = P1Gradients::in_mesh(&self.rest, TetId::from_index(element));
-        (gradients, nodes, nodes.map(|n| DVec3::from_array(self.history[n])))
+        (gradients, nodes, nodes.map(|n| self.displacements_m[n]))
     }
 }
 

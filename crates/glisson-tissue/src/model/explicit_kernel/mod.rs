@@ -96,7 +96,7 @@ struct Held {
 /// A copy of the moving state. It holds for the same mesh and removals.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExplicitKernelSnapshot {
-    history: Vec<[f64; 3]>,
+    history: Vec<f64>,
     positions_m: Vec<DVec3>,
     velocities_m_per_s: Vec<DVec3>,
 }
@@ -156,9 +156,8 @@ pub struct ExplicitKernel {
     constraint_forces_n: BoundedVec<DVec3>,
     report: ModelReport,
 
-    // State: displacements, last increments, an entry of the last step's length and the careful steps, and the memory
-    // of relaxing stress.
-    history: Vec<[f64; 3]>,
+    // State, with that of the kernel.
+    displacements_m: Vec<DVec3>,
     positions_m: Vec<DVec3>,
     velocities_m_per_s: Vec<DVec3>,
 }
@@ -207,7 +206,7 @@ impl ExplicitKernel {
             return Err(ExplicitError::UnstableStep { found_s: time_step_s, allowed_s, tet }.into());
         }
         kernel.set_stiffness_damping(body.damping.stiffness_s);
-        let (n_nodes, n_memory) = (mesh.positions_m.len(), kernel.history_len());
+        let n_nodes = mesh.positions_m.len();
         let mut supports = vec![[false; 3]; n_nodes];
         for fixed in body.fixed {
             let axes = &mut supports[fixed.node.index()];
@@ -242,7 +241,7 @@ impl ExplicitKernel {
             held: BoundedVec::with_capacity(n_nodes),
             constraint_forces_n: BoundedVec::with_capacity(n_nodes),
             report: ModelReport::default(),
-            history: vec![[0.0; 3]; 2 * n_nodes + 1 + n_memory / 3],
+            displacements_m: vec![DVec3::ZERO; n_nodes],
             positions_m: mesh.positions_m.clone(),
             velocities_m_per_s: vec![DVec3::ZERO; n_nodes],
         };
@@ -318,7 +317,7 @@ impl ExplicitKernel {
     /// The moving state, to come back to with [`ExplicitKernel::restore`].
     pub fn snapshot(&self) -> ExplicitKernelSnapshot {
         ExplicitKernelSnapshot {
-            history: self.history.clone(),
+            history: super::DeformableModel::history(self),
             positions_m: self.positions_m.clone(),
             velocities_m_per_s: self.velocities_m_per_s.clone(),
         }
@@ -329,21 +328,36 @@ impl ExplicitKernel {
     /// # Panics
     /// When the snapshot has another number of nodes.
     pub fn restore(&mut self, snapshot: &ExplicitKernelSnapshot) {
-        self.history.copy_from_slice(&snapshot.history);
         self.positions_m.copy_from_slice(&snapshot.positions_m);
         self.velocities_m_per_s.copy_from_slice(&snapshot.velocities_m_per_s);
-        let n_nodes = self.rest.positions_m.len();
-        for n in 0..n_nodes {
-            let node = NodeId::from_index(n);
-            self.kernel.set_displacement(node, DVec3::from_array(self.history[n]));
-            self.kernel.set_increment(node, DVec3::from_array(self.history[n_nodes + n]));
-        }
+        self.put_history_back(&snapshot.history);
         for held in self.held.iter_mut() {
             held.moved_m = self.kernel.increment_m(held.node);
         }
-        self.kernel.set_last_step_s(known(self.history[2 * n_nodes][0]));
-        self.careful_steps = self.history[2 * n_nodes][1] as u32;
-        self.kernel.set_history(self.history[2 * n_nodes + 1..].as_flattened());
+    }
+
+    /// Comes back to the numbers of [`Mover::history_into`].
+    fn put_history_back(&mut self, history: &[f64]) {
+        let n_nodes = self.rest.positions_m.len();
+        let (of_nodes, others) = history.split_at(6 * n_nodes);
+        let of_nodes = of_nodes.as_chunks::<3>().0.iter().map(|xyz| DVec3::from_array(*xyz));
+        let (displacements_m, increments_m) = (of_nodes.clone(), of_nodes.skip(n_nodes));
+        self.displacements_m.clear();
+        self.displacements_m.extend(displacements_m.take(n_nodes));
+        for (n, increment_m) in increments_m.enumerate() {
+            let node = NodeId::from_index(n);
+            self.kernel.set_displacement(node, self.displacements_m[n]);
+            self.kernel.set_increment(node, increment_m);
+        }
+        self.kernel.set_last_step_s(known(others[0]));
+        self.careful_steps = others[1] as u32;
+        self.kernel.set_history(&others[3..]);
+    }
+
+    /// What the last step added to a node's displacement [m], held or not.
+    fn increment_m(&self, node: NodeId) -> DVec3 {
+        let held = self.held.iter().find(|held| held.node == node);
+        held.map_or_else(|| self.kernel.increment_m(node), |held| held.moved_m)
     }
 
     /// Whether a constraint on this node has something to act on.
@@ -386,29 +400,23 @@ impl ExplicitKernel {
         self.report.energy_was_limited = true;
     }
 
-    /// Positions, velocities and history from the kernel.
+    /// Positions and velocities from the kernel.
     fn publish(&mut self) {
-        let n_nodes = self.rest.positions_m.len();
-        let step_s = self.kernel.last_step_s();
-        let per_step = 1.0 / step_s.unwrap_or(self.time_step_s);
+        let per_step = 1.0 / self.kernel.last_step_s().unwrap_or(self.time_step_s);
         let mut kinetic_j = 0.0;
-        let Self { history, positions_m, velocities_m_per_s, rest, kernel, careful_steps, .. } = self;
+        let Self { displacements_m, positions_m, velocities_m_per_s, rest, kernel, .. } = self;
         kernel.for_each_node(|node, motion| {
             let n = node.index();
-            history[n] = motion.displacement_m.to_array();
-            history[n_nodes + n] = motion.increment_m.to_array();
+            displacements_m[n] = motion.displacement_m;
             positions_m[n] = rest.positions_m[n] + motion.displacement_m;
             // Not read back from where it is written: that waits for the write.
             let velocity_m_per_s = motion.increment_m * per_step;
             velocities_m_per_s[n] = velocity_m_per_s;
             kinetic_j += 0.5 * motion.inertia_kg * velocity_m_per_s.length_squared();
         });
-        history[2 * n_nodes] = [step_s.unwrap_or(0.0), f64::from(*careful_steps), 0.0];
-        kernel.history_into(history[2 * n_nodes + 1..].as_flattened_mut());
         for held in self.held.iter() {
             let n = held.node.index();
             let velocity_m_per_s = held.moved_m * per_step;
-            history[n_nodes + n] = held.moved_m.to_array();
             let added = velocity_m_per_s.length_squared() - velocities_m_per_s[n].length_squared();
             kinetic_j += 0.5 * kernel.inertia_kg(held.node) * added;
             velocities_m_per_s[n] = velocity_m_per_s;
@@ -419,20 +427,17 @@ impl ExplicitKernel {
     /// [`ExplicitKernel::publish`] for these nodes alone, after an edit that left all others as they were. The kinetic
     /// energy stays that of the last step, as after a removal.
     fn publish_nodes(&mut self, nodes: impl Iterator<Item = NodeId>) {
-        let n_nodes = self.rest.positions_m.len();
         let per_step = 1.0 / self.kernel.last_step_s().unwrap_or(self.time_step_s);
         for node in nodes {
             let n = node.index();
             let (displacement_m, increment_m) =
                 (self.kernel.displacement_m(node), self.kernel.increment_m(node));
-            self.history[n] = displacement_m.to_array();
-            self.history[n_nodes + n] = increment_m.to_array();
+            self.displacements_m[n] = displacement_m;
             self.positions_m[n] = self.rest.positions_m[n] + displacement_m;
             self.velocities_m_per_s[n] = increment_m * per_step;
         }
         for held in self.held.iter() {
             let n = held.node.index();
-            self.history[n_nodes + n] = held.moved_m.to_array();
             self.velocities_m_per_s[n] = held.moved_m * per_step;
         }
     }
@@ -480,11 +485,24 @@ impl Mover for ExplicitKernel {
     }
 
     fn state(&self) -> ModelState<'_> {
-        ModelState {
-            positions_m: &self.positions_m,
-            velocities_m_per_s: &self.velocities_m_per_s,
-            history: self.history.as_flattened(),
+        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &self.velocities_m_per_s }
+    }
+
+    /// Displacements, last increments, three numbers of which the first ones are the last step's length and the careful steps, and
+    /// the memory of relaxing stress.
+    fn history_into(&self, numbers: &mut Vec<f64>) {
+        numbers.extend(self.displacements_m.iter().flat_map(|u_m| u_m.to_array()));
+        let first = numbers.len();
+        numbers.resize(first + 3 * self.displacements_m.len(), 0.0);
+        let increments_m = numbers[first..].as_chunks_mut::<3>().0;
+        self.kernel.for_each_node(|node, motion| increments_m[node.index()] = motion.increment_m.to_array());
+        for held in self.held.iter() {
+            increments_m[held.node.index()] = held.moved_m.to_array();
         }
+        numbers.extend([self.kernel.last_step_s().unwrap_or(0.0), f64::from(self.careful_steps), 0.0]);
+        let first = numbers.len();
+        numbers.resize(first + self.kernel.history_len(), 0.0);
+        self.kernel.history_into(&mut numbers[first..]);
     }
 
     fn constraint_forces_n(&self) -> &[DVec3] {
@@ -505,7 +523,7 @@ impl Mover for ExplicitKernel {
                 }
                 self.kernel.set_displacement(NodeId::from_index(n), u_m);
                 // What never had a tetrahedron has no place in the kernel.
-                self.history[n] = u_m.to_array();
+                self.displacements_m[n] = u_m;
                 self.positions_m[n] = self.rest.positions_m[n] + u_m;
             }
         }

@@ -17,11 +17,9 @@ impl ExplicitKernel {
         }
         kernel.remove_tet(rest, tet);
         stability.scaling.remove_tet(rest, tet, kernel);
-        let n_nodes = rest.positions_m.len();
         for node in rest.tetrahedra[tet.index()] {
             loads.refresh(kernel, node);
             if !kernel.has_tets(node) {
-                self.history[n_nodes + node.index()] = [0.0; 3];
                 self.velocities_m_per_s[node.index()] = DVec3::ZERO;
             }
         }
@@ -64,10 +62,7 @@ impl ExplicitKernel {
         keep(&mut self.supports, &stays);
         keep(&mut self.positions_m, &stays);
         keep(&mut self.velocities_m_per_s, &stays);
-        let stays_twice: Vec<bool> = stays.iter().chain(&stays).chain(&[true]).copied().collect();
-        self.history.truncate(stays_twice.len());
-        keep(&mut self.history, &stays_twice);
-        self.history.resize(self.history.len() + memory.len() / 3, [0.0; 3]);
+        keep(&mut self.displacements_m, &stays);
         self.stability.compact(&new_nodes, &new_tets);
         if self.is_cut {
             self.stability.scaling.apply(&self.rest, &mut self.kernel);
@@ -105,8 +100,8 @@ impl ExplicitKernel {
             self.supports[n] = axes;
         }
         let supports = |n: usize| self.supports[n];
-        let increment_m = |n: usize| DVec3::from_array(self.history[n_before + n]);
-        let placed = growth.displacements_m(|n| DVec3::from_array(self.history[n]), supports);
+        let increment_m = |n: usize| self.increment_m(NodeId::from_index(n));
+        let placed = growth.displacements_m(|n| self.displacements_m[n], supports);
         let moving = growth.velocities(increment_m, supports);
         let memories = self.memories_of_new(change, growth);
         let removed = change.tets.removed.iter().filter(|tet| tet.index() < change.tets.n_before);
@@ -132,10 +127,10 @@ impl ExplicitKernel {
                 self.kernel.hold_axes(NodeId::from_index(n), self.supports[n]);
             }
         }
-        self.make_room_for_state(n_before);
+        self.make_room_for_state();
         for (n, u_m) in placed {
             self.kernel.set_displacement(NodeId::from_index(n), u_m);
-            self.history[n] = u_m.to_array();
+            self.displacements_m[n] = u_m;
             self.positions_m[n] = self.rest.positions_m[n] + u_m;
         }
         for (n, increment_m) in moving {
@@ -249,9 +244,9 @@ impl ExplicitKernel {
         let mut kernel = self.laid_out_anew(&is_live, &memory);
         for (n, &axes) in self.supports.iter().enumerate().take(n_before) {
             let node = NodeId::from_index(n);
-            kernel.set_displacement(node, DVec3::from_array(self.history[n]));
+            kernel.set_displacement(node, self.displacements_m[n]);
             kernel.hold_axes(node, axes);
-            kernel.set_increment(node, DVec3::from_array(self.history[n_before + n]));
+            kernel.set_increment(node, self.increment_m(node));
             kernel.set_added_mass(node, self.stability.scaling.added_kg(node));
         }
         for held in self.held.iter() {
@@ -262,16 +257,10 @@ impl ExplicitKernel {
     }
 
     /// Makes room for new nodes and tetrahedra in the state.
-    fn make_room_for_state(&mut self, n_before: usize) {
+    fn make_room_for_state(&mut self) {
         let n_nodes = self.rest.positions_m.len();
-        let step = self.history[2 * n_before];
-        self.history.truncate(2 * n_before);
-        let new = vec![[0.0; 3]; n_nodes - n_before];
-        self.history.splice(n_before..n_before, new.iter().copied());
-        self.history.extend_from_slice(&new);
-        self.history.push(step);
-        self.history.resize(2 * n_nodes + 1 + self.kernel.history_len() / 3, [0.0; 3]);
-        self.positions_m.extend_from_slice(&self.rest.positions_m[n_before..]);
+        self.displacements_m.resize(n_nodes, DVec3::ZERO);
+        self.positions_m.extend_from_slice(&self.rest.positions_m[self.positions_m.len()..]);
         self.velocities_m_per_s.resize(n_nodes, DVec3::ZERO);
         self.held.make_room(n_nodes);
         self.constraint_forces_n.make_room(n_nodes);

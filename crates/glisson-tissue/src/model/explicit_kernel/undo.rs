@@ -5,7 +5,7 @@
 //! its shape at rest and its substance, by the computation that it came in with, so that it has the same bits. An
 //! edit after which the kernel may be laid out anew is kept as a copy of the whole model.
 
-use super::{ExplicitKernel, Held, known};
+use super::{ExplicitKernel, Held};
 use crate::model::kernel::{KernelCounts, NodeMass};
 use crate::model::topology_update::grows;
 use crate::model::{DeformableModel, ModelUndo, UndoReader};
@@ -25,10 +25,11 @@ impl ExplicitKernel {
             return;
         }
         undo.report = self.report;
-        undo.push_place(self.history.len());
         // Growing while the last numbers arrive would copy all of them once more.
-        undo.numbers.reserve(3 * self.history.len() + NUMBERS_BESIDE_STATE);
-        undo.numbers.extend_from_slice(self.history.as_flattened());
+        let n_history = 6 * self.displacements_m.len() + 3 + self.kernel.history_len();
+        undo.numbers.reserve(n_history + NUMBERS_BESIDE_STATE);
+        undo.push_place(n_history);
+        self.history_into(&mut undo.numbers);
         undo.push_vector(self.loads.gravity_m_per_s2);
         self.save_constraints(undo);
 
@@ -94,7 +95,7 @@ impl ExplicitKernel {
         self.release();
         self.loads.clear(&mut self.kernel);
         let n_history = from.place();
-        let history = from.numbers(3 * n_history);
+        let history = from.numbers(n_history);
         self.loads.gravity_m_per_s2 = from.vector();
         self.report = undo.report;
         let constraints = self.read_constraints(&mut from);
@@ -109,24 +110,14 @@ impl ExplicitKernel {
         }
         self.stability.scaling.n_nodes = n_scaled_before;
 
-        self.history.resize(n_history, [0.0; 3]);
-        self.history.as_flattened_mut().copy_from_slice(history);
-        self.positions_m.resize(n_nodes, DVec3::ZERO);
-        self.velocities_m_per_s.resize(n_nodes, DVec3::ZERO);
-        let step_s = known(self.history[2 * n_nodes][0]);
-        let per_step = 1.0 / step_s.unwrap_or(self.time_step_s);
-        self.kernel.set_last_step_s(step_s);
-        self.careful_steps = self.history[2 * n_nodes][1] as u32;
-        for n in 0..n_nodes {
-            let node = NodeId::from_index(n);
-            let u_m = DVec3::from_array(self.history[n]);
-            let increment_m = DVec3::from_array(self.history[n_nodes + n]);
-            self.positions_m[n] = self.rest.positions_m[n] + u_m;
-            self.velocities_m_per_s[n] = increment_m * per_step;
-            self.kernel.set_displacement(node, u_m);
-            self.kernel.set_increment(node, increment_m);
-        }
-        self.kernel.set_history(self.history[2 * n_nodes + 1..].as_flattened());
+        self.put_history_back(history);
+        let per_step = 1.0 / self.kernel.last_step_s().unwrap_or(self.time_step_s);
+        let increments_m = &history[3 * n_nodes..6 * n_nodes].as_chunks::<3>().0;
+        let rest_m = &self.rest.positions_m;
+        self.positions_m.clear();
+        self.positions_m.extend(rest_m.iter().zip(&self.displacements_m).map(|(rest_m, u_m)| *rest_m + *u_m));
+        self.velocities_m_per_s.clear();
+        self.velocities_m_per_s.extend(increments_m.iter().map(|xyz| DVec3::from_array(*xyz) * per_step));
         self.hold_and_load(&constraints);
         self.loads.refresh_all(&mut self.kernel);
     }

@@ -167,7 +167,6 @@ pub struct ImplicitEuler {
     /// Factors made so far.
     factor_version: u64,
     positions_m: Vec<DVec3>,
-    history: BoundedVec<f64>,
 
     // Constraints and scratch.
     outer_n: Vec<DVec3>,
@@ -267,7 +266,6 @@ impl ImplicitEuler {
             age: FactorAge::default(),
             factor_version: 0,
             positions_m: mesh.positions_m.clone(),
-            history: BoundedVec::with_capacity(0),
             outer_n: zero.clone(),
             held: BoundedVec::with_capacity(n_nodes),
             is_held: vec![false; n_nodes],
@@ -512,36 +510,11 @@ impl ImplicitEuler {
         self.publish();
     }
 
-    /// Updates the positions from the displacements, and the history from the rest of the state.
+    /// Updates the positions from the displacements.
     fn publish(&mut self) {
         for n in 0..self.n_nodes() {
             self.positions_m[n] = self.mesh.positions_m[n] + self.displacement_m[n];
         }
-        let history = &mut self.history;
-        history.clear();
-        history.extend(self.earlier_velocities_m_per_s.iter().flat_map(|v| v.to_array()));
-        let mut n_spare = 0;
-        if let Some(lagged) = &self.lagged {
-            let n_before = history.len();
-            history.extend(lagged.state.numbers());
-            // Room for a factor that is being made.
-            n_spare = history.len() - n_before + 1;
-            if let Some(pending) = lagged.pending() {
-                history.extend(pending.state.numbers());
-                history.push(f64::from(pending.n_slices));
-            }
-            history.extend(lagged.late().numbers());
-        }
-        if let Some(successor) = &self.successor {
-            history.extend(successor.numbers());
-        }
-        if let Some(relaxation) = &self.relaxation {
-            history.extend(relaxation.numbers());
-        }
-        let FactorAge { n_steps, first_iterations, excess_iterations } = self.age;
-        let recovery = self.elements.recovery() as u32;
-        history.extend([n_steps, first_iterations, excess_iterations, recovery].map(f64::from));
-        history.make_room(history.len() + n_spare);
     }
 
     fn takes_load(&self, node: NodeId) -> bool {
@@ -623,11 +596,28 @@ impl DeformableModel for ImplicitEuler {
     }
 
     fn state(&self) -> ModelState<'_> {
-        ModelState {
-            positions_m: &self.positions_m,
-            velocities_m_per_s: &self.velocities_m_per_s,
-            history: &self.history,
+        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &self.velocities_m_per_s }
+    }
+
+    fn history_into(&self, numbers: &mut Vec<f64>) {
+        numbers.extend(self.earlier_velocities_m_per_s.iter().flat_map(|v| v.to_array()));
+        if let Some(lagged) = &self.lagged {
+            numbers.extend(lagged.state.numbers());
+            if let Some(pending) = lagged.pending() {
+                numbers.extend(pending.state.numbers());
+                numbers.push(f64::from(pending.n_slices));
+            }
+            numbers.extend(lagged.late().numbers());
         }
+        if let Some(successor) = &self.successor {
+            numbers.extend(successor.numbers());
+        }
+        if let Some(relaxation) = &self.relaxation {
+            numbers.extend(relaxation.numbers());
+        }
+        let FactorAge { n_steps, first_iterations, excess_iterations } = self.age;
+        let recovery = self.elements.recovery() as u32;
+        numbers.extend([n_steps, first_iterations, excess_iterations, recovery].map(f64::from));
     }
 
     fn constraint_forces_n(&self) -> &[DVec3] {

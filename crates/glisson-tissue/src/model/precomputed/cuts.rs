@@ -45,7 +45,6 @@ pub(super) struct Cuts {
     /// Pulls of the hinges on the held body: piece, hinge, loadable node.
     pub(super) hinge_rows: Vec<(u32, u32, u32)>,
     pub(super) pull_share: f64,
-    pub(super) numbers: Vec<f64>,
     /// Of all nodes; zero except for those that pieces move; empty without pieces.
     velocities_m_per_s: Vec<DVec3>,
     /// Response of each node of the whole body to unit gravity along each axis [m per m/s2].
@@ -133,7 +132,6 @@ impl Cuts {
             owners: Owners::none(n_nodes),
             hinge_rows: Vec::new(),
             pull_share: MOST_PULL_SHARE,
-            numbers: Vec::new(),
             velocities_m_per_s: Vec::new(),
             report: CutReport { least_pivot: 1.0, ..CutReport::default() },
         })
@@ -263,10 +261,10 @@ impl Cuts {
                 }
             }
         }
-        self.write_numbers();
+        self.write_velocities();
     }
 
-    fn write_numbers(&mut self) {
+    fn write_velocities(&mut self) {
         let velocities = &mut self.velocities_m_per_s;
         for (p, piece) in self.pieces.iter().enumerate() {
             for (local, (&node, &of_node)) in piece.nodes.iter().zip(piece.velocities_m_per_s()).enumerate() {
@@ -275,12 +273,6 @@ impl Cuts {
                     velocities[node.index()] = if moves { of_node } else { DVec3::ZERO };
                 }
             }
-        }
-        let mut rest = &mut self.numbers[..];
-        for piece in &self.pieces {
-            let (own, others) = rest.split_at_mut(piece.n_history());
-            piece.write_history(own);
-            rest = others;
         }
     }
 
@@ -313,13 +305,10 @@ impl Cuts {
                 }
             }
         }
-        let n = self.pieces.iter().map(Fragment::n_history).sum();
-        self.numbers.clear();
-        self.numbers.resize(n, 0.0);
         if !self.pieces.is_empty() {
             self.velocities_m_per_s.resize(self.is_out.len(), DVec3::ZERO);
         }
-        self.write_numbers();
+        self.write_velocities();
     }
 
     /// Displacement of the rows under the whole body's own weight [m], in blocks; `None` while nothing is cut.
@@ -367,15 +356,16 @@ impl Cuts {
         for piece in &mut self.pieces {
             piece.start_with(velocities_m_per_s);
         }
-        self.write_numbers();
+        self.write_velocities();
     }
 
     pub(super) fn velocities_m_per_s(&self) -> &[DVec3] {
         &self.velocities_m_per_s
     }
 
-    pub(super) fn numbers(&self) -> &[f64] {
-        &self.numbers
+    /// Appends the state of the pieces that the next step depends on besides positions.
+    pub(super) fn history_into(&self, numbers: &mut Vec<f64>) {
+        self.pieces.iter().for_each(|piece| piece.history_into(numbers));
     }
 
     pub(super) fn take_over(&mut self, positions_m: &[DVec3], shown_m: &mut [DVec3]) {
@@ -387,7 +377,7 @@ impl Cuts {
                 }
             }
         }
-        self.write_numbers();
+        self.write_velocities();
     }
 
     pub(super) fn report(&self) -> CutReport {

@@ -84,11 +84,6 @@ impl Precomputed {
         });
     }
 
-    /// State of the pieces that the next step depends on besides positions.
-    pub(super) fn piece_numbers(&self) -> &[f64] {
-        self.cuts.as_ref().map_or(&[], |cuts| cuts.numbers())
-    }
-
     /// Velocities of all nodes; zero except for those of pieces; empty without pieces.
     pub(super) fn piece_velocities_m_per_s(&self) -> &[DVec3] {
         self.cuts.as_ref().map_or(&[], |cuts| cuts.velocities_m_per_s())

@@ -392,18 +392,12 @@ impl Fragment {
         ModelReport { n_mass_scaled_nodes, ..report }
     }
 
-    /// Numbers that [`Fragment::write_history`] writes.
-    pub(super) fn n_history(&self) -> usize {
-        let state = self.kernel.state();
-        3 * state.velocities_m_per_s.len() + state.history.len() + 3 * self.hinges.len()
-    }
-
-    /// Writes the state that the next step depends on besides the positions.
-    pub(super) fn write_history(&self, numbers: &mut [f64]) {
-        let state = self.kernel.state();
-        let of_vectors = state.velocities_m_per_s.iter().copied().chain(self.hinges.iter().map(|h| h.pull_n));
-        let all = of_vectors.flat_map(|v: DVec3| v.to_array()).chain(state.history.iter().copied());
-        numbers.iter_mut().zip(all).for_each(|(n, x)| *n = x);
+    /// Appends the state that the next step depends on besides the positions.
+    pub(super) fn history_into(&self, numbers: &mut Vec<f64>) {
+        let pulls_n = self.hinges.iter().map(|hinge| hinge.pull_n);
+        let of_vectors = self.velocities_m_per_s().iter().copied().chain(pulls_n);
+        numbers.extend(of_vectors.flat_map(|v| v.to_array()));
+        self.kernel.history_into(numbers);
     }
 }
 

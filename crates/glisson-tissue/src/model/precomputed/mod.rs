@@ -261,10 +261,12 @@ impl DeformableModel for Precomputed {
     }
 
     fn state(&self) -> ModelState<'_> {
-        ModelState {
-            positions_m: &self.positions_m,
-            velocities_m_per_s: self.piece_velocities_m_per_s(),
-            history: self.piece_numbers(),
+        ModelState { positions_m: &self.positions_m, velocities_m_per_s: self.piece_velocities_m_per_s() }
+    }
+
+    fn history_into(&self, numbers: &mut Vec<f64>) {
+        if let Some(cuts) = &self.cuts {
+            cuts.history_into(numbers);
         }
     }
 
@@ -284,7 +286,7 @@ impl DeformableModel for Precomputed {
     }
 
     /// Loose pieces keep their velocities.
-    fn take_over_in_motion(&mut self, state: &ModelState<'_>) {
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>, _history: &[f64]) {
         self.take_over(state.positions_m);
         if let Some(cuts) = &mut self.cuts
             && state.velocities_m_per_s.len() == self.rest_m.len()

@@ -321,6 +321,10 @@ impl DeformableModel for QuasiNonlinear {
         ModelState { positions_m: &self.positions_m, ..self.linear.state() }
     }
 
+    fn history_into(&self, numbers: &mut Vec<f64>) {
+        self.linear.history_into(numbers);
+    }
+
     fn constraint_forces_n(&self) -> &[DVec3] {
         &self.constraint_forces_n
     }

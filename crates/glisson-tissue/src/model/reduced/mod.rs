@@ -364,7 +364,11 @@ impl DeformableModel for Reduced {
     }
 
     fn state(&self) -> ModelState<'_> {
-        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &[], history: &self.newton.q }
+        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &[] }
+    }
+
+    fn history_into(&self, numbers: &mut Vec<f64>) {
+        numbers.extend_from_slice(&self.newton.q);
     }
 
     fn constraint_forces_n(&self) -> &[DVec3] {

@@ -21,7 +21,7 @@ fn constraints(step: usize, n_nodes: usize) -> Constraints {
 fn bits(model: &dyn DeformableModel) -> Vec<u64> {
     let state = model.state();
     let vectors = state.positions_m.iter().chain(state.velocities_m_per_s).chain(model.constraint_forces_n());
-    vectors.flat_map(|v| v.to_array()).chain(state.history.iter().copied()).map(f64::to_bits).collect()
+    vectors.flat_map(|v| v.to_array()).chain(model.history()).map(f64::to_bits).collect()
 }
 
 fn advance(model: &mut dyn DeformableModel, steps: std::ops::Range<usize>, n_nodes: usize) {

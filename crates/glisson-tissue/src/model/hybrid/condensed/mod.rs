@@ -396,10 +396,12 @@ impl DeformableModel for CondensedHybrid {
     }
 
     fn state(&self) -> ModelState<'_> {
-        ModelState {
-            positions_m: &self.positions_m,
-            velocities_m_per_s: &self.velocities_m_per_s,
-            history: self.dynamic.as_ref().map_or(&[], |d| d.motion.state().history),
+        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &self.velocities_m_per_s }
+    }
+
+    fn history_into(&self, numbers: &mut Vec<f64>) {
+        if let Some(dynamic) = &self.dynamic {
+            dynamic.motion.history_into(numbers);
         }
     }
 

@@ -567,11 +567,7 @@ impl DeformableModel for HybridExchange {
     }
 
     fn state(&self) -> ModelState<'_> {
-        ModelState {
-            positions_m: &self.positions_m,
-            velocities_m_per_s: &self.velocity_m_per_s,
-            history: &[],
-        }
+        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &self.velocity_m_per_s }
     }
 
     fn constraint_forces_n(&self) -> &[DVec3] {

@@ -462,7 +462,7 @@ impl ExplicitBody {
         stiff: Option<&StiffTet>,
     ) {
         let corner_kg = 0.25 * self.frame.density_kg_per_m3() * volume_m3;
-        let of_tet = stiff.map_or(0.0, |stiff| stiff.squared_frequency_per_s2(corner_kg));
+        let of_tet = stiff.map_or(0.0, |stiff| stiff.squared_frequency_per_s2([corner_kg; 4]));
         self.frame.add_tet(t, nodes, volume_m3, of_tet);
     }
 

@@ -503,7 +503,7 @@ impl ExplicitMotion {
         stiff: &StiffTet,
     ) {
         let corner_kg = 0.25 * self.frame.density_kg_per_m3() * volume_m3;
-        self.frame.add_tet(t, nodes, volume_m3, stiff.squared_frequency_per_s2(corner_kg));
+        self.frame.add_tet(t, nodes, volume_m3, stiff.squared_frequency_per_s2([corner_kg; 4]));
         nodes.into_iter().for_each(|n| self.update_inertia(n.index()));
     }
 

@@ -10,6 +10,7 @@ mod by_scheme;
 mod central;
 mod cuttable;
 mod frame;
+mod mass_shares;
 mod rest_tensions;
 mod stable;
 mod stand_in;
@@ -23,9 +24,10 @@ pub(in crate::model) use cuttable::{
 };
 pub(in crate::model) use dynamics::{ExplicitDynamics, Mover};
 pub(in crate::model) use frame::{Quarantine, check_body};
+pub(in crate::model) use mass_shares::MassShares;
 pub(in crate::model) use rest_tensions::RestTensions;
 pub use stable::{MOST_NODES_PROVEN, StableStep};
-pub(in crate::model) use stable::{Stability, StiffTet};
+pub(in crate::model) use stable::{Stability, StiffTet, masses_kg};
 pub(in crate::model) use stand_in::{StandIn, StandIns};
 
 use crate::solve::SolveError;

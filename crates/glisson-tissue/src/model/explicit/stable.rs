@@ -12,13 +12,14 @@
 //!
 //! Uncut: power iteration estimates omega_max^2 from below; a value theta a few per cent above it is proven to
 //! be above the spectrum by the Cholesky factorization of theta M - K, which exists only then. Meshes of more
-//! than [`MOST_NODES_PROVEN`] nodes take the first bound, because the factorization would take long.
+//! than [`MOST_NODES_PROVEN`] nodes take a bound of shared masses ([`MassShares`]), because the factorization would take long.
 //! Held nodes are left out of account: holding a node never raises a frequency.
 //!
 //! A law that stiffens as it is stretched tells by how much ([`StiffTet::stiffening`]); the bound after cuts then
 //! holds for every shape allowed for, and the uncut one is the proven one at rest with the largest stiffening of
 //! all tetrahedra: an estimate.
 
+use super::MassShares;
 use crate::material::LinearElastic;
 use crate::solve::{
     BoundaryConditions, FreeSystem, MeshEdges, P1Gradients, SolveError, StiffnessTensors, TetStiffness,
@@ -83,6 +84,8 @@ pub(in crate::model) struct Stability {
     pub(in crate::model) tet_squared_frequency_per_s2: Vec<f64>,
     /// [`StiffTet::stiffening`] of each tetrahedron, if told.
     pub(in crate::model) tet_stiffening: Vec<f64>,
+    /// Shares of the nodes' masses, if they were needed.
+    shares: Option<MassShares>,
 }
 
 impl Stability {
@@ -102,21 +105,23 @@ impl Stability {
         let stiff: Vec<StiffTet> = tets.clone().map(of_tet).collect::<Result<_, _>>()?;
         let bounds_per_s2 = tets
             .zip(&stiff)
-            .map(|(tet, stiff)| stiff.squared_frequency_per_s2(corner_kg(mesh, density_kg_per_m3, tet)));
+            .map(|(tet, stiff)| stiff.squared_frequency_per_s2([corner_kg(mesh, density_kg_per_m3, tet); 4]));
         let mut stability = Self::of_bounds(bounds_per_s2.collect());
         stability.tet_stiffening = stiff.iter().map(|stiff| stiff.stiffening).collect();
-        if mesh.positions_m.len() > MOST_NODES_PROVEN {
-            return Ok(stability);
-        }
-        let tensors = StiffnessTensors::assemble_with(mesh, &edges, |tet, _| stiff[tet.index()].at_rest)?;
-        let mut mass_kg = vec![0.0; mesh.positions_m.len()];
-        for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
-            let corner_kg = corner_kg(mesh, density_kg_per_m3, TetId::from_index(t));
-            nodes.iter().for_each(|node| mass_kg[node.index()] += corner_kg);
-        }
         let after_cuts = stability.tet_squared_frequency_per_s2[stability.step.tet.index()];
-        let stiffening = stability.tet_stiffening.iter().fold(1.0, |most: f64, of_tet| of_tet.max(most));
-        let uncut = stiffening * proven_squared_frequency(&edges, &tensors, &mass_kg, after_cuts);
+        let uncut = if mesh.positions_m.len() > MOST_NODES_PROVEN {
+            let no_ligaments = vec![0.0; mesh.positions_m.len()];
+            let stiffness = |tet: TetId| stiff[tet.index()];
+            let mut shares = stability.mass_shares(mesh, density_kg_per_m3, &no_ligaments, stiffness);
+            let bound = shares.squared_frequency_per_s2(&mesh.tetrahedra, |_| true, &no_ligaments, stiffness);
+            stability.shares = Some(shares);
+            bound
+        } else {
+            let tensors = StiffnessTensors::assemble_with(mesh, &edges, |tet, _| stiff[tet.index()].at_rest)?;
+            let stiffening = stability.tet_stiffening.iter().fold(1.0, |most: f64, of_tet| of_tet.max(most));
+            stiffening
+                * proven_squared_frequency(&edges, &tensors, &masses_kg(mesh, density_kg_per_m3), after_cuts)
+        };
         stability.step.step_s = step_s(uncut.min(after_cuts));
         Ok(stability)
     }
@@ -134,7 +139,7 @@ impl Stability {
     ) -> Result<Self, SolveError> {
         let found = |tet: TetId| {
             let stiff = stiffness_of(tet, &P1Gradients::of_tet(mesh, tet)?);
-            Ok(stiff.squared_frequency_per_s2(corner_kg(mesh, density_kg_per_m3, tet)))
+            Ok(stiff.squared_frequency_per_s2([corner_kg(mesh, density_kg_per_m3, tet); 4]))
         };
         let bound_of = |tet: TetId| match known(tet) {
             Some(bound_per_s2) => {
@@ -155,8 +160,37 @@ impl Stability {
             }
         }
         let step = StableStep { step_s: step_s(after_cuts), after_cuts_s: step_s(after_cuts), tet };
-        Self { step, tet_squared_frequency_per_s2, tet_stiffening: Vec::new() }
+        Self { step, tet_squared_frequency_per_s2, tet_stiffening: Vec::new(), shares: None }
     }
+
+    /// Shares of the nodes' masses for these tetrahedra.
+    pub(in crate::model) fn mass_shares(
+        &mut self,
+        mesh: &TetMesh,
+        density_kg_per_m3: f64,
+        ligaments_n_per_m: &[f64],
+        stiffness: impl Fn(TetId) -> StiffTet,
+    ) -> MassShares {
+        if let Some(shares) = self.shares.take() {
+            return shares;
+        }
+        let alone = (0..).map(TetId::from_index).zip(&self.tet_squared_frequency_per_s2);
+        let kappa_n_per_m = alone.map(|(tet, per_s2)| per_s2 * corner_kg(mesh, density_kg_per_m3, tet));
+        let mut shares = MassShares::new(kappa_n_per_m.collect(), mesh.positions_m.len());
+        shares.masses_mut().copy_from_slice(&masses_kg(mesh, density_kg_per_m3));
+        shares.find_demands(&mesh.tetrahedra, ligaments_n_per_m, stiffness);
+        shares
+    }
+}
+
+/// Mass of each node [kg].
+pub(in crate::model) fn masses_kg(mesh: &TetMesh, density_kg_per_m3: f64) -> Vec<f64> {
+    let mut masses_kg = vec![0.0; mesh.positions_m.len()];
+    for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
+        let corner_kg = corner_kg(mesh, density_kg_per_m3, TetId::from_index(t));
+        nodes.iter().for_each(|node| masses_kg[node.index()] += corner_kg);
+    }
+    masses_kg
 }
 
 /// Mass of a tetrahedron at each of its corners [kg].
@@ -168,7 +202,8 @@ fn step_s(squared_frequency_per_s2: f64) -> f64 {
     MARGIN * 2.0 / squared_frequency_per_s2.sqrt()
 }
 
-/// A tetrahedron's share in the stable step.
+/// A tetrahedron's part in the stable step.
+#[derive(Clone, Copy)]
 pub(in crate::model) struct StiffTet {
     /// Its tensors in the rest shape.
     pub at_rest: TetStiffness,
@@ -177,9 +212,9 @@ pub(in crate::model) struct StiffTet {
 }
 
 impl StiffTet {
-    /// Bound of its squared frequency by itself, for every shape allowed for, with this mass at each corner [1/s2].
-    pub(in crate::model) fn squared_frequency_per_s2(&self, corner_kg: f64) -> f64 {
-        self.stiffening * self.at_rest.squared_frequency_bound_per_s2([corner_kg; 4])
+    /// Bound of its squared frequency by itself, for every shape allowed for, with these masses at its corners [1/s2].
+    pub(in crate::model) fn squared_frequency_per_s2(&self, corners_kg: [f64; 4]) -> f64 {
+        self.stiffening * self.at_rest.squared_frequency_bound_per_s2(corners_kg)
     }
 }
 
@@ -216,7 +251,7 @@ fn proven_squared_frequency(
 }
 
 /// Rayleigh quotient after power iteration: a lower bound of the largest eigenvalue of M^-1 K.
-fn estimate_from_below(edges: &MeshEdges, tensors: &StiffnessTensors, mass_kg: &[f64]) -> f64 {
+pub(super) fn estimate_from_below(edges: &MeshEdges, tensors: &StiffnessTensors, mass_kg: &[f64]) -> f64 {
     let mut random = SeededRandom::new(0);
     let mut x: Vec<DVec3> =
         mass_kg.iter().map(|_| DVec3::new(random.normal(), random.normal(), random.normal())).collect();

@@ -24,7 +24,7 @@
 //! limited, the next steps are divided into as many internal ones as the body allows: its law is stiffer there. A
 //! linear law is as stiff at any strain.
 //!
-//! Removing a tetrahedron takes constant time; what is left without a tetrahedron stays where it is. New tetrahedra come
+//! What is left without a tetrahedron stays where it is. New tetrahedra come
 //! into spare lanes of the kernel, which is laid out anew when half as many have come in as there were.
 
 mod correction;
@@ -247,6 +247,8 @@ impl ExplicitKernel {
         };
         model.hold_supports();
         model.loads.refresh_all(&mut model.kernel);
+        // What an edit finds known is not computed in it.
+        model.stability.measure(&model.rest, &model.substance, &model.kernel);
         model.publish();
         Ok(model)
     }
@@ -274,9 +276,9 @@ impl ExplicitKernel {
         self.time_step_s
     }
 
-    /// Largest step [s] that is stable now: after the first removal the one that holds after any further ones.
+    /// Largest step [s] that is stable now.
     pub fn stable_step_s(&self) -> f64 {
-        if self.is_cut { self.stability.after_cuts_s } else { self.stability.step.step_s }
+        if self.is_cut { self.stability.cut_s } else { self.stability.step.step_s }
     }
 
     /// Into how many equal parts a step of `dt_s` is divided now.
@@ -640,6 +642,7 @@ impl ExplicitDynamics for ExplicitKernel {
                         self.remove_tet(tet);
                     }
                 }
+                self.stability.measure(&self.rest, &self.substance, &self.kernel);
             }
         }
         // A held node that lost its last tetrahedron has nothing to pull on.

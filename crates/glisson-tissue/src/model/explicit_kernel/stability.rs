@@ -13,13 +13,14 @@
 //! (1 + d h/2) z^2 - (2 - theta h^2 - theta beta h) z + (1 - d h/2 - theta beta h): its roots stay in the unit
 //! circle while theta (h^2 + 2 beta h) <= 4 (its value at z = -1), so h <= sqrt(beta^2 + 4/theta) - beta.
 //!
-//! After the first removal the bound of the single tetrahedra counts, which holds after any cuts. Where that step is
-//! shorter than the shortest one allowed, the limiting tetrahedra get the inertia that makes up for it; their weight
-//! stays. Since the bound is that of every tetrahedron by itself, this holds after any further cuts, too.
+//! From the first edit on a bound for the body as it is counts ([`MassShares`]), found anew after each edit. Where the step of
+//! the single tetrahedra is shorter than the shortest one allowed, the limiting ones get the inertia that makes up for it; their
+//! weight stays. Since that bound is that of every tetrahedron by itself, this holds after any further cuts, too.
 
+use super::params::Substance;
 use super::{ExplicitKernelParams, StableStep};
 use crate::material::{LinearElastic, NeoHookeLog, StableNeoHooke, largest_tangent_eigenvalue_pa};
-use crate::model::explicit::{Stability as ElasticStability, StiffTet, keep};
+use crate::model::explicit::{MassShares, Stability as ElasticStability, StiffTet, keep, masses_kg};
 use crate::model::kernel::{FastKernel, KernelLaw, SharedMaterial};
 use crate::model::tet_law::{TetLaw, linear_stiffness};
 use crate::model::{DynamicBody, ModelUndo, UndoReader};
@@ -54,11 +55,12 @@ pub(super) struct MassScaling {
 /// How long a step may be, and what makes it so.
 #[derive(Clone, Debug)]
 pub(super) struct Stability {
-    /// Without added inertia.
+    /// Without added inertia, before the first edit.
     pub(super) step: StableStep,
-    /// After any cuts, with it [s].
-    pub(super) after_cuts_s: f64,
+    /// From then on, with it, for the body as it is [s].
+    pub(super) cut_s: f64,
     pub(super) scaling: MassScaling,
+    shares: MassShares,
     /// Of each tetrahedron by itself, ligaments at its nodes included [1/s2].
     tet_per_s2: Vec<f64>,
     /// How much stiffer than at rest each may become.
@@ -85,15 +87,8 @@ fn wave_pa(material: &LinearElastic) -> f64 {
 
 /// The largest stiffness of a node's ligaments over its mass [1/s2].
 fn largest_per_mass(body: &DynamicBody<'_>, ligaments_n_per_m: &[f64]) -> f64 {
-    let mesh = body.mesh;
-    let mut mass_kg = vec![0.0; mesh.positions_m.len()];
-    for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
-        let corner_kg = 0.25 * body.density_kg_per_m3 * mesh.tet_volume_m3(TetId::from_index(t));
-        for node in nodes {
-            mass_kg[node.index()] += corner_kg;
-        }
-    }
-    let per_mass = ligaments_n_per_m.iter().zip(&mass_kg).filter(|(_, m)| **m > 0.0).map(|(k, m)| k / m);
+    let masses_kg = masses_kg(body.mesh, body.density_kg_per_m3);
+    let per_mass = ligaments_n_per_m.iter().zip(&masses_kg).filter(|(_, m)| **m > 0.0).map(|(k, m)| k / m);
     per_mass.fold(0.0, f64::max)
 }
 
@@ -171,7 +166,7 @@ impl Stability {
         let mesh = body.mesh;
         let tangents = Tangents::of(params);
         let stiff = |tet: TetId, gradients: &P1Gradients| tangents.stiffness(params, tet, gradients);
-        let elastic = ElasticStability::of_stiffness(mesh, body.density_kg_per_m3, stiff)?;
+        let mut elastic = ElasticStability::of_stiffness(mesh, body.density_kg_per_m3, stiff)?;
         let mut ligaments_n_per_m = vec![0.0; mesh.positions_m.len()];
         for ligament in body.attachments {
             ligaments_n_per_m[ligament.node.index()] += ligament.stiffness_n_per_m;
@@ -185,6 +180,8 @@ impl Stability {
         let with_ligaments =
             |tet: TetId| elastic.tet_squared_frequency_per_s2[tet.index()] + of_ligaments(tet);
         let tet_per_s2: Vec<f64> = tets().map(with_ligaments).collect();
+        let by_tet = |tet: TetId| stiff(tet, &P1Gradients::in_mesh(mesh, tet));
+        let shares = elastic.mass_shares(mesh, body.density_kg_per_m3, &ligaments_n_per_m, by_tet);
         let stiffening = elastic.tet_stiffening;
         let elastic = elastic.step;
         let tangent_pa = |(tet, stiffening): (TetId, &f64)| stiffening * wave_pa(params.material(tet));
@@ -204,7 +201,8 @@ impl Stability {
         let step = StableStep { step_s, after_cuts_s: longest_s(after_cuts, beta), tet: limiting };
         let mut stability = Self {
             step,
-            after_cuts_s: step.after_cuts_s,
+            cut_s: step.after_cuts_s,
+            shares,
             scaling: MassScaling::of_tets(Vec::new(), mesh.positions_m.len()),
             tet_per_s2,
             stiffening,
@@ -217,9 +215,6 @@ impl Stability {
         if step.after_cuts_s < stability.shortest_s && stability.shortest_s <= step_s {
             let scaled = tets().filter_map(|tet| stability.scaled(tet, corner_kg(tet)));
             stability.scaling.tets = scaled.collect();
-        }
-        if !stability.scaling.tets.is_empty() {
-            stability.after_cuts_s = stability.shortest_s;
         }
         Ok(stability)
     }
@@ -236,9 +231,11 @@ impl Stability {
     pub(super) fn grow(&mut self, change: &TopologyChange) {
         self.tet_per_s2.resize(change.tets.n_after, 0.0);
         self.stiffening.resize(change.tets.n_after, 1.0);
+        self.shares.resize(change.tets.n_after, change.nodes.n_after);
         for (tet, parents) in change.tets.added.iter() {
             let of_parents = parents.iter().map(|(parent, _)| self.stiffening[parent.index()]);
             self.stiffening[tet.index()] = of_parents.fold(1.0, f64::max);
+            self.shares.take_after(tet, parents.iter().map(|(parent, _)| *parent));
         }
         self.ligaments_n_per_m.resize(change.nodes.n_after, 0.0);
         self.scaling.added_kg.resize(change.nodes.n_after, 0.0);
@@ -256,39 +253,43 @@ impl Stability {
         let nodes = mesh.tetrahedra[tet.index()];
         let corner_kg = 0.25 * self.density_kg_per_m3 * mesh.tet_volume_m3(tet);
         let ligaments = nodes.map(|n| self.ligaments_n_per_m[n.index()]).into_iter().fold(0.0, f64::max);
-        let elastic_per_s2 = at_rest.squared_frequency_bound_per_s2([corner_kg; 4]);
-        self.tet_per_s2[tet.index()] = self.stiffening[tet.index()] * elastic_per_s2 + ligaments / corner_kg;
+        let stiff = StiffTet { at_rest: *at_rest, stiffening: self.stiffening[tet.index()] };
+        let elastic_per_s2 = stiff.squared_frequency_per_s2([corner_kg; 4]);
+        self.tet_per_s2[tet.index()] = elastic_per_s2 + ligaments / corner_kg;
+        self.shares.set_tet(tet, elastic_per_s2 * corner_kg);
         if let Some(scaled) = self.scaled(tet, corner_kg) {
             self.scaling.add_tet(mesh, scaled, kernel);
         }
     }
 
-    /// Estimates the step after an edit that added or reshaped tetrahedra.
-    pub(super) fn estimate(&mut self, kernel: &FastKernel) {
-        // The last one among equals. Few are asked whether they live.
-        let (mut most_per_s2, mut limiting) = (0.0, None);
-        for (t, &per_s2) in self.tet_per_s2.iter().enumerate() {
-            if per_s2 >= most_per_s2 && kernel.is_live(TetId::from_index(t)) {
-                (most_per_s2, limiting) = (per_s2, Some(t));
-            }
+    /// Finds the step of the body as it is, with the added inertia that the kernel has.
+    pub(super) fn measure(&mut self, mesh: &TetMesh, substance: &Substance, kernel: &FastKernel) {
+        let Self { shares, stiffening, ligaments_n_per_m, .. } = self;
+        let masses_kg = shares.masses_mut();
+        kernel.for_each_node(|node, motion| masses_kg[node.index()] = motion.inertia_kg);
+        let stiffness = |tet: TetId| {
+            let gradients = P1Gradients::in_mesh(mesh, tet);
+            let at_rest = substance.stiffness_at_rest(tet, &gradients);
+            StiffTet { at_rest, stiffening: stiffening[tet.index()] }
+        };
+        let is_live = |tet| kernel.is_live(tet);
+        let per_s2 = shares.squared_frequency_per_s2(&mesh.tetrahedra, is_live, ligaments_n_per_m, stiffness);
+        if per_s2 > 0.0 {
+            let assured_s = if self.scaling.n_nodes > 0 { self.shortest_s } else { 0.0 };
+            self.cut_s = longest_s(per_s2, self.stiffness_damping_s).max(assured_s);
         }
-        if let Some(t) = limiting {
-            self.step.tet = TetId::from_index(t);
-            self.step.after_cuts_s = longest_s(self.tet_per_s2[t], self.stiffness_damping_s);
-        }
-        self.after_cuts_s = if self.scaling.n_nodes > 0 { self.shortest_s } else { self.step.after_cuts_s };
     }
 
     /// Keeps what an edit changes beside the tetrahedra.
     pub(super) fn save(&self, undo: &mut ModelUndo) {
-        undo.numbers.extend_from_slice(&[self.step.after_cuts_s, self.after_cuts_s]);
-        undo.places.extend_from_slice(&[self.step.tet.0, self.scaling.n_nodes]);
+        undo.numbers.push(self.cut_s);
+        undo.places.push(self.scaling.n_nodes);
     }
 
     /// Comes back to [`Stability::save`]; how many nodes were heavier.
     pub(super) fn put_back(&mut self, from: &mut UndoReader<'_>, n_nodes: usize, n_tets: usize) -> u32 {
-        [self.step.after_cuts_s, self.after_cuts_s] = [from.number(), from.number()];
-        self.step.tet = TetId::from_index(from.place());
+        self.cut_s = from.number();
+        self.shares.resize(n_tets, n_nodes);
         self.tet_per_s2.truncate(n_tets);
         self.stiffening.truncate(n_tets);
         self.ligaments_n_per_m.truncate(n_nodes);
@@ -298,11 +299,15 @@ impl Stability {
         from.place() as u32
     }
 
-    /// Keeps a tetrahedron's frequency, its inertia (less than zero: never heavier) and how many heavier tetrahedra
+    /// Keeps a tetrahedron's frequency and stiffness, its inertia (less than zero: never heavier) and how many heavier tetrahedra
     /// its nodes have.
     pub(super) fn save_tet(&self, tet: TetId, nodes: [NodeId; 4], undo: &mut ModelUndo) {
         let scaled = self.scaling.place(tet).map_or(-1.0, |at| self.scaling.tets[at].corner_kg);
-        undo.numbers.extend_from_slice(&[self.tet_per_s2[tet.index()], scaled]);
+        undo.numbers.extend_from_slice(&[
+            self.tet_per_s2[tet.index()],
+            self.shares.kappa_n_per_m(tet),
+            scaled,
+        ]);
         undo.places.extend(nodes.map(|n| self.scaling.n_scaled[n.index()]));
     }
 
@@ -315,6 +320,7 @@ impl Stability {
         from: &mut UndoReader<'_>,
     ) {
         self.tet_per_s2[tet.index()] = from.number();
+        self.shares.set_tet(tet, from.number());
         let corner_kg = from.number();
         match self.scaling.place(tet) {
             Some(at) if corner_kg < 0.0 => {
@@ -335,6 +341,7 @@ impl Stability {
         keep(&mut self.tet_per_s2, &tet_stays);
         keep(&mut self.stiffening, &tet_stays);
         keep(&mut self.ligaments_n_per_m, &stays);
+        self.shares.keep(&stays, &tet_stays);
         self.scaling = self.scaling.renumbered(new_tets, self.ligaments_n_per_m.len());
     }
 }

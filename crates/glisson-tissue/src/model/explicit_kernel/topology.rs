@@ -68,6 +68,7 @@ impl ExplicitKernel {
             self.stability.scaling.apply(&self.rest, &mut self.kernel);
         }
         self.loads = self.loads.renumbered(&new_nodes, &self.rest.positions_m);
+        self.stability.measure(&self.rest, &self.substance, &self.kernel);
         self.hold_supports();
         self.loads.refresh_all(&mut self.kernel);
         self.publish();
@@ -136,7 +137,7 @@ impl ExplicitKernel {
         for (n, increment_m) in moving {
             self.kernel.set_increment(NodeId::from_index(n), increment_m);
         }
-        self.stability.estimate(&self.kernel);
+        self.stability.measure(&self.rest, &self.substance, &self.kernel);
         self.loads.grow(&self.rest.positions_m);
         if self.report.n_reanalyses == n_reanalyses {
             self.publish_changed(growth, &at_removed);

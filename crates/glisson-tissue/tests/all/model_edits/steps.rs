@@ -49,7 +49,7 @@ fn edits_give_the_same_bits_on_every_path_and_for_any_number_of_threads() {
 fn sliver_edit(random: &mut SeededRandom, mesh: &EditableMesh) -> MeshEdit {
     let edges: Vec<EdgeId> = mesh.topology().live_edges().collect();
     let edge = pick(random, &edges);
-    MeshEdit::Split { edges: vec![EdgeSplit { edge, fraction: 0.02 }] }
+    MeshEdit::Split { edges: vec![EdgeSplit { edge, fraction: 0.003 }] }
 }
 
 #[test]

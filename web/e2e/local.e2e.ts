@@ -223,6 +223,28 @@ describe.skipIf(!isThere)("a page with its simulation in itself", () => {
     expect(problems).toEqual([]);
   });
 
+  it("a task that is over has its report, in a tab of its own", async () => {
+    const touch = `${PROBE.replace("[tool]", '[[tool]]\nname = "probe"')}path = [{ time = "0.5 s", tip = ["-30 mm", "-50 mm", "20 mm"] }]
+[task]
+title = "Touch the liver"
+time_limit = "1 min"
+gate = { peak_force = "0.01 N" }
+[[task.stage]]
+title = "Touch it"
+touch = { tool = "probe" }
+`;
+    const { page, problems } = await opened(`${exported("touch", liver("precomputed", 2000, "4 ms", touch))}#demonstrate`);
+    const way = page.getByRole("button", { name: "Look at the report" });
+    await way.waitFor({ timeout: 60_000 });
+    const [report] = await Promise.all([page.waitForEvent("popup"), way.click()]);
+    await report.getByRole("heading", { name: "Safety gate" }).waitFor();
+    expect(await report.title()).toBe("Touch the liver: report");
+    expect(await report.getByText("all stages done").count()).toBe(1);
+    expect(await report.locator("svg").count()).toBeGreaterThan(0);
+    await report.screenshot({ path: resultFile("local_report.png"), fullPage: true });
+    expect(problems).toEqual([]);
+  });
+
   it("a recorded session is played, and taken over at the moment that is shown", async () => {
     writeFileSync(join(out, "recorded.toml"), `${LIVERS.precomputed.replace(PROBE, "")}${PROBE}path = [{ time = "0.5 s", tip = ["-30 mm", "-50 mm", "20 mm"] }, { time = "0.8 s", tip = ["-30 mm", "-48 mm", "20 mm"] }]\n`);
     run("run", "recorded.toml", "--record", "recorded.jsonl");

@@ -91,6 +91,8 @@ export interface Carrier {
   send(message: string): boolean;
   /** After it was closed: whether it is not to be opened again, because something else is there; null: ask again. */
   isElsewhere(): Promise<boolean | null>;
+  /** The report of the task that is over, as a page, where no server has it. */
+  report?(): Promise<string>;
 }
 
 /** A server's. `isElsewhere`: whether another page is served there. */

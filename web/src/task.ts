@@ -1,5 +1,7 @@
 /** The scene's task: what is to be done now, how far it is, the time, and at its end the way to the report. */
+import { download } from "./download";
 import { text } from "./language";
+import { reasonOf } from "./reason";
 import { decodeEvents, TaskEvents, type TaskEventNews } from "./task_events";
 import { fail, fieldsOf, numberAt, pointsAt, stringAt, type Fields, type Vec3 } from "./fields";
 
@@ -113,6 +115,50 @@ export function outcomeText(outcome: TaskOutcome): string {
   return text(outcome === "done" ? "task_done" : "task_time_over");
 }
 
+/** Shows a report in a tab of its own, or offers it as a file where there is none. */
+async function showReport(report: Promise<string>): Promise<void> {
+  // At once: later the browser would take it for one that nobody asked for.
+  const tab = window.open("", "_blank");
+  try {
+    const html = await report;
+    if (tab === null || tab.closed) {
+      download(new Blob([html], { type: "text/html" }), "report.html");
+      return;
+    }
+    tab.document.write(html);
+    tab.document.close();
+  } catch (error) {
+    tab?.close();
+    throw error;
+  }
+}
+
+/** The way to the report: a link to the server's, or a button where the page makes it. `failed` says why there is none. */
+function wayToReport(own: OwnReport | undefined): HTMLElement {
+  if (own !== undefined) {
+    const button = document.createElement("button");
+    button.onclick = () => void showReport(own.report()).catch((error: unknown) => own.failed(reasonOf(error)));
+    return button;
+  }
+  const link = document.createElement("a");
+  link.href = "report";
+  link.target = "_blank";
+  link.rel = "noopener";
+  return link;
+}
+
+/** A report that the page has, and who says that it has none. */
+export interface OwnReport {
+  report(): Promise<string>;
+  failed(reason: string): void;
+}
+
+/** That of a simulation in the page. */
+export function ownReport(from: { report?(): Promise<string> }, says: { error(words: string): void }): OwnReport | undefined {
+  const report = from.report?.bind(from);
+  return report && { report, failed: (reason) => says.error(reason) };
+}
+
 export class TaskPanel {
   private status: TaskStatus | null = null;
   private readonly title = document.createElement("h2");
@@ -121,12 +167,12 @@ export class TaskPanel {
   private readonly bar = document.createElement("progress");
   private readonly hint = document.createElement("p");
   private readonly mistake = document.createElement("p");
-  private readonly report = document.createElement("a");
+  private readonly report: HTMLElement;
   private readonly events: TaskEvents;
   private now_s = 0;
 
-  /** `letCome`: who teaches lets an event come, by its number. */
-  constructor(private readonly root: HTMLElement, letCome: (event: number) => void) {
+  /** `letCome`: who teaches lets an event come, by its number. `own`: the report, where no server has it. */
+  constructor(private readonly root: HTMLElement, letCome: (event: number) => void, own?: OwnReport) {
     this.events = new TaskEvents(letCome);
     const head = document.createElement("header");
     head.append(this.title, this.time);
@@ -137,10 +183,8 @@ export class TaskPanel {
     this.hint.className = "task-hint";
     this.mistake.className = "mistake";
     this.mistake.setAttribute("role", "status");
+    this.report = wayToReport(own);
     this.report.textContent = text("task_report");
-    this.report.href = "report";
-    this.report.target = "_blank";
-    this.report.rel = "noopener";
     root.append(head, this.stage, this.bar, this.hint, this.mistake, this.report, this.events.root);
   }
 

@@ -206,6 +206,7 @@ export const PAGES_EN = {
   local_forget: "Forget",
   local_storage_failed: "The browser's storage failed: {reason}",
   local_ended: "The simulation ended: {reason}",
+  local_over: "the simulation has ended",
   local_made: "making the scene: {percent} %",
   local_no_simd: "this browser does not run WebAssembly with SIMD; a present Chrome, Edge, Firefox or Safari does",
   local_hidden: "Time stood still while this page was hidden.",

@@ -208,6 +208,7 @@ export const PAGES_FR: Readonly<Record<keyof typeof PAGES_EN, string>> = {
   local_forget: "Oublier",
   local_storage_failed: "Le stockage du navigateur a échoué : {reason}",
   local_ended: "La simulation est terminée : {reason}",
+  local_over: "la simulation est terminée",
   local_made: "préparation de la scène : {percent} %",
   local_no_simd: "ce navigateur n'exécute pas WebAssembly avec SIMD ; un Chrome, Edge, Firefox ou Safari actuel le fait",
   local_hidden: "Le temps s'est arrêté pendant que cette page était cachée.",

@@ -23,7 +23,7 @@ import { headerOfHand, ProtocolError, type HandHeader, type Hello, type Snapshot
 import { Resolution } from "./resolution";
 import { Scene3d } from "./scene3d";
 import { Table } from "./table";
-import { TaskPanel } from "./task";
+import { ownReport, TaskPanel } from "./task";
 import { Headset } from "./theatre/headset";
 import { Theatre } from "./theatre/view";
 import type { ToolDriver } from "./tool_driver";
@@ -70,7 +70,7 @@ export class Viewer {
     this.help = new Help(document.body);
     this.bodies = new BodyList(page.bodies, (hidden) => { this.scene.hide(hidden); this.redraw(); });
     this.contacts = new Contacts(page.contacts, this.scene.contactMarks);
-    this.task = new TaskPanel(page.task, (number) => this.connection.send({ type: "task_event", number }));
+    this.task = new TaskPanel(page.task, (number) => this.connection.send({ type: "task_event", number }), ownReport(carrier, this.messages));
     this.classroom = new ClassView(page, this.scene, (message) => this.connection.send(message), () => this.redraw());
     this.toolbar = new Toolbar(page.toolbar, (action) => this.run(action, false));
     this.theatre = new Theatre(this.scene, page);

@@ -6,16 +6,17 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates, each of which may use those before it.
-const CRATES: [&str; 14] = [
+const CRATES: [&str; 15] = [
     "glisson-mesh",
     "glisson-tissue",
     "glisson",
     "glisson-runtime",
     "glisson-protocol",
     "glisson-picture",
+    "glisson-results",
+    "glisson-report",
     "glisson-patient",
     "glisson-net",
-    "glisson-results",
     "glisson-view",
     "glisson-lab",
     "glisson-cli",

@@ -3,7 +3,7 @@
 use super::words::{escaped, number};
 use crate::plot::{LinePlot, Series, SeriesStyle};
 use glisson::units::for_people;
-use glisson_results::compare::{MetricComparison, NamedCurve};
+use glisson_results::comparison::{MetricComparison, NamedCurve};
 use glisson_results::statistics::{FEWEST_FOR_QUARTILES, Place, Quartiles, Standing};
 use std::fmt::Write as _;
 
@@ -123,7 +123,7 @@ pub(super) fn group_text(comparison: &glisson_results::Comparison) -> Option<Str
 mod tests {
     use super::*;
     use glisson::training::metrics::Better;
-    use glisson_results::compare::MetricName;
+    use glisson_results::comparison::MetricName;
     use glisson_results::statistics::{learning_curve, quartiles};
 
     fn metric(value: f64) -> MetricComparison {

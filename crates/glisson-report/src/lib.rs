@@ -1,5 +1,12 @@
-//! The report of a task as one HTML page: what was done, what it was measured by, what went wrong and when, and plots.
+//! The report of a task as one HTML page: what was done, what it was measured by, what went wrong and when, and plots. Also without a
+//! server, in the page that simulates.
+//!
+//! ```text
+//! numbers -> plot -> SVG
+//! TaskRecord, TaskResult (glisson::training), Comparison (glisson_results) -> task_report -> HTML
+//! ```
 
+pub mod plot;
 mod words;
 mod comparison;
 

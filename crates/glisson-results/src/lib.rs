@@ -5,6 +5,8 @@
 //!                                                -> export: CSV, JSON
 //! ```
 //!
+//! The store is behind the feature `store`; without it the rest needs no SQLite.
+//!
 //! There is no reference group but the ones that users make: nobody was measured for this program. Nothing here reads a
 //! clock; dates come from the caller.
 
@@ -12,15 +14,25 @@ pub mod utc;
 pub mod name;
 pub mod attempt;
 pub mod statistics;
+pub mod comparison;
+#[cfg(feature = "store")]
 mod settings;
+#[cfg(feature = "store")]
 pub mod error;
+#[cfg(feature = "store")]
 mod schema;
+#[cfg(feature = "store")]
 pub mod store;
+#[cfg(feature = "store")]
 mod groups;
+#[cfg(feature = "store")]
 pub mod compare;
+#[cfg(feature = "store")]
 pub mod export;
 
 pub use attempt::{Attempt, AttemptResult, Kept};
-pub use compare::Comparison;
+pub use comparison::Comparison;
+#[cfg(feature = "store")]
 pub use error::StoreError;
+#[cfg(feature = "store")]
 pub use store::{Added, Filter, Store};

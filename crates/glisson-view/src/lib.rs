@@ -1,11 +1,9 @@
-//! Films, plots, and the pages: the viewer and its server.
+//! Films and the pages: the viewer and its server.
 //!
 //! ```text
-//! numbers -> plot -> SVG
 //! session, step by step -> pictures (glisson_picture) -> film -> MP4 (by ffmpeg)
 //! Published (glisson_runtime) -> server: frames, messages (glisson_protocol) -> WebSocket -> page (web/dist, embedded)
 //! page -> commands -> Simulation
-//! TaskRecord (glisson::training) -> report -> HTML
 //! scene, files -> local_page -> HTML that simulates without a server
 //! session -> recording -> HTML that plays without a server
 //! image -> patient (its own page; steps of glisson_patient) -> scene -> Simulation
@@ -14,9 +12,7 @@
 //!
 //! The modules stand in data-flow order; a module uses only modules above it (`xtask/tests/layering.rs`).
 
-pub mod plot;
 pub mod film;
-pub mod report;
 pub mod server;
 pub mod local_page;
 pub mod recording;

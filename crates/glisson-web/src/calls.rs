@@ -205,6 +205,14 @@ calls! {
         }))
     }
 
+    /// The report of the task that is over, as a page.
+    fn glisson_report() -> i32 {
+        with(|kept| {
+            let report = kept.page.as_ref().context("no scene is open").and_then(LocalPage::report);
+            kept.answers(report)
+        })
+    }
+
     /// Opens the scene file of the given name, without a page.
     fn glisson_open_run() -> i32 {
         with(|kept| {

@@ -5,6 +5,7 @@ use glisson_protocol::class::Present;
 use glisson_protocol::conversation::{Asked, Conversation, Room, ToViewer};
 use glisson_protocol::hands::Hands;
 use glisson_protocol::messages::{self, HapticsAt};
+use glisson_report::{ReportContext, task_report};
 use glisson_runtime::control::Steers;
 use glisson_runtime::live::{Command, Turns};
 use glisson_runtime::published::Published;
@@ -130,6 +131,15 @@ impl LocalPage {
         self.says.pop_front()
     }
 
+    /// The report of the task that is over, as a page.
+    ///
+    /// # Errors
+    /// Where none is over.
+    pub fn report(&self) -> anyhow::Result<String> {
+        let record = self.turns.shown().task_record.as_ref().context("no task is over yet")?;
+        Ok(task_report(record, &record.result(), &ReportContext::default()))
+    }
+
     /// From here on the session's file has all that happened before.
     pub fn keep_session(&mut self) {
         self.turns.keep_session();
@@ -188,6 +198,31 @@ mod tests {
         let partial = glisson_runtime::recorder::partial_of(&session);
         let report = replay(&read_session(&partial).unwrap(), folder.path(), |_| Ok(())).unwrap();
         assert_eq!((report.first_difference, report.checkpoints >= 1), (None, true));
+    }
+
+    #[test]
+    fn a_task_that_is_over_has_a_report_and_none_before() {
+        const TASK: &str = "[task]\ntitle = \"Touch <it>\"\ntime_limit = \"60 s\"\n\
+            [[task.stage]]\ntitle = \"Touch the block\"\ntouch = { tool = \"tool\" }\n";
+        let folder = tempfile::tempdir().unwrap();
+        let (scene, session) = (folder.path().join("scene.toml"), folder.path().join("session.jsonl"));
+        let tool = SCENE.replace("[tool]", "[[tool]]\nname = \"tool\"");
+        std::fs::write(&scene, format!("{tool}{TASK}")).unwrap();
+        let mut page = LocalPage::open(&scene, &session, false).unwrap();
+        assert_eq!(page.report().unwrap_err().to_string(), "no task is over yet");
+        let begun = Instant::now();
+        let mut depth_m = -0.03;
+        while page.report().is_err() && begun.elapsed() < Duration::from_secs(60) {
+            page.hear(&format!(r#"{{"type":"tool","tip_m":[0,{depth_m},0],"shaft":[0,-1,0]}}"#)).unwrap();
+            depth_m = f64::min(depth_m + 0.001, 0.004);
+            page.turn().unwrap();
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        let report = page.report().unwrap();
+        assert!(
+            report.contains("<h1>Touch &lt;it&gt;</h1>") && report.contains("all stages done"),
+            "{report}"
+        );
     }
 
     #[test]

@@ -114,6 +114,9 @@ impl DeformableModel for Foundation {
         ModelState { positions_m: &self.positions_m, velocities_m_per_s: &self.velocities_m_per_s }
     }
 
+    /// Positions and velocities are all that it has.
+    fn history_into(&self, _numbers: &mut Vec<f64>) {}
+
     fn constraint_forces_n(&self) -> &[DVec3] {
         &self.constraint_forces_n
     }

@@ -1,5 +1,6 @@
 /** Carries messages between the page and the simulation in its Worker. */
 import type { Carrier, CarrierEvents } from "../connection";
+import { text } from "../language";
 import type { FromWorker, Start, ToWorker } from "./worker";
 import { reasonOf } from "../reason";
 
@@ -17,6 +18,7 @@ export interface WorkerEvents {
 export class WorkerCarrier implements Carrier {
   private isOpen = false;
   private waiting: (() => void)[] = [];
+  private readers: { readonly read: (report: string) => void; readonly fail: (error: Error) => void }[] = [];
 
   /** `start` is asked for once the page listens. */
   constructor(private readonly worker: Worker, private readonly start: () => Promise<Start>, private readonly events: WorkerEvents) {}
@@ -28,7 +30,12 @@ export class WorkerCarrier implements Carrier {
   private fail(reason: string): void {
     this.isOpen = false;
     this.answerWaiting();
+    this.failReaders(reason);
     this.events.failed(reason);
+  }
+
+  private failReaders(reason: string): void {
+    for (const { fail } of this.readers.splice(0)) fail(new Error(reason));
   }
 
   private answerWaiting(): void {
@@ -50,6 +57,10 @@ export class WorkerCarrier implements Carrier {
       } else if ("session" in data) {
         if (data.session.length > 0) this.events.recorded(data.session, data.from);
         if (data.kept) this.answerWaiting();
+      } else if ("report" in data) {
+        for (const { read } of this.readers.splice(0)) read(data.report);
+      } else if ("unreported" in data) {
+        this.failReaders(data.unreported);
       } else {
         this.fail(data.failed);
       }
@@ -81,6 +92,12 @@ export class WorkerCarrier implements Carrier {
     if (!this.isOpen) return Promise.resolve();
     this.tell({ keep: true });
     return new Promise((resolve) => this.waiting.push(resolve));
+  }
+
+  report(): Promise<string> {
+    if (!this.isOpen) return Promise.reject(new Error(text("local_over")));
+    this.tell({ report: true });
+    return new Promise((read, fail) => this.readers.push({ read, fail }));
   }
 
   send(message: string): boolean {

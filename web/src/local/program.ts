@@ -12,6 +12,7 @@ interface SimulationCalls extends Calls {
   glisson_tell(): number;
   glisson_next_message(): number;
   glisson_keep(): number;
+  glisson_report(): number;
   glisson_open_run(): number;
   glisson_run(steps: number): number;
   glisson_arithmetic(): number;
@@ -76,6 +77,12 @@ export class Program extends Calling<SimulationCalls> {
   /** Has all that happened recorded; what a trap left is recorded already. */
   keep(): void {
     this.tryTo((calls) => calls.glisson_keep());
+  }
+
+  /** The report of the task, as a page. */
+  report(): string {
+    this.tryTo((calls) => calls.glisson_report());
+    return this.text();
   }
 
   /** What was recorded since it was taken last, and from which byte of the session on. */

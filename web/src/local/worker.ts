@@ -17,20 +17,23 @@ export interface Start {
   readonly hidden: boolean;
 }
 
-/** To the Worker: how it begins, a message to the simulation, that what came was taken, whether the page is hidden, or to keep the session. */
+/** To the Worker: how it begins, a message to the simulation, that what came was taken, whether the page is hidden, to keep the session, or to report on the task. */
 export type ToWorker =
   | { readonly start: Start }
   | { readonly message: string }
   | { readonly taken: true }
   | { readonly hidden: boolean }
-  | { readonly keep: true };
+  | { readonly keep: true }
+  | { readonly report: true };
 
-/** From it: how much of the scene is made, that it is open, what the simulation says, how its session goes on (`kept`: as it was asked for), or why it ended. */
+/** From it: how much of the scene is made, that it is open, what the simulation says, how its session goes on (`kept`: as it was asked for), the task's report or why there is none, or why it ended. */
 export type FromWorker =
   | { readonly share: number }
   | { readonly opened: true }
   | { readonly says: readonly Message[] }
   | { readonly session: Uint8Array; readonly from: number; readonly kept: boolean }
+  | { readonly report: string }
+  | { readonly unreported: string }
   | { readonly failed: string };
 
 /** States under way to a page that has not taken them yet, at most. */
@@ -131,6 +134,16 @@ function hear(program: Program, message: string): void {
 
 const pause = (paused: boolean): string => JSON.stringify({ type: "pause", paused });
 
+/** That there is none yet ends nothing. */
+function reportOf(program: Program): FromWorker {
+  try {
+    return { report: program.report() };
+  } catch (error) {
+    if (program.isBroken) throw error;
+    return { unreported: reasonOf(error) };
+  }
+}
+
 /** Browsers slow a hidden page down as they like: time stands still, and what was recorded is kept. */
 function hide(hidden: boolean): void {
   isHidden = hidden;
@@ -158,6 +171,7 @@ self.onmessage = ({ data }: MessageEvent<ToWorker>): void => {
       program.keep();
       keepSession(program, true);
     });
-  } else attempt((program) => hear(program, data.message));
+  } else if ("report" in data) attempt((program) => post(reportOf(program)));
+  else attempt((program) => hear(program, data.message));
 };
 self.onmessageerror = () => fail(new Error("a message to the simulation could not be received"));

@@ -15,7 +15,7 @@ use glisson::surface::TriMesh;
 use glisson::surface::files::{read_surface_with, surface_extensions};
 use glisson::units::LengthUnit;
 
-use glisson_view::plot::Histogram;
+use glisson_report::plot::Histogram;
 
 use super::image_input::warn_of_unit;
 use super::output::make_folder_of;

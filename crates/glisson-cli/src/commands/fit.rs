@@ -9,7 +9,7 @@ use glisson::material::LinearElastic;
 use glisson::model::quasi_nonlinear::{CurvePolynomial, Fit, LinearSample, MeasuredCurve, fit_curve};
 use serde::Serialize;
 
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 
 /// Fit polynomials to the measured curves of a compressed sample.
 ///

@@ -4,8 +4,8 @@ use super::output::{check_extension, make_folder_of};
 use super::results_text::{comparison_text, curve_text, list_text};
 use crate::text_file::write_text;
 use anyhow::{Context, bail, ensure};
+use glisson_report::curve_plot;
 use glisson_results::{Added, Filter, Kept, Store, export};
-use glisson_view::report::curve_plot;
 use std::path::{Path, PathBuf};
 
 /// Results of people at tasks: list, compare with a group, learning curves, export.

@@ -2,7 +2,7 @@
 
 use glisson::training::metrics::Better;
 use glisson::units::for_people;
-use glisson_results::compare::{MetricComparison, NamedCurve};
+use glisson_results::comparison::{MetricComparison, NamedCurve};
 use glisson_results::statistics::{FEWEST_FOR_QUARTILES, Standing};
 use glisson_results::store::StoredResult;
 use glisson_results::{Attempt, Comparison};

@@ -8,7 +8,7 @@ use glisson::image::labels::{Parts, dice, mask_volume_m3};
 use glisson::mesh::files::read_mesh;
 use glisson::mesh::quality::MeshQuality;
 use glisson_picture::{SlicePlane, SliceSpec, slice_picture};
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 use serde_json::json;
 
 /// One command of the demo.

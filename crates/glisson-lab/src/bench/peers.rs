@@ -7,7 +7,7 @@ use super::body::StandardBody;
 use super::implicit::{STEP_S, round_of_loads};
 use super::{Machine, MachineBudget, Request, cases, measure_case};
 use anyhow::{Context, bail, ensure};
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};

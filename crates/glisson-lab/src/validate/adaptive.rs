@@ -22,7 +22,7 @@ use glisson::model::kernel::{FastKernel, KernelLaw, KernelParams, KernelPath};
 use glisson::model::nonlinear_tensor_mass::{NonlinearPart, NonlinearTensorMass, OperationCounts};
 use glisson::solve::BoundaryConditions;
 use glisson::workers::Sequential;
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 use std::hint::black_box;
 
 const SEED: &str = "Picinbono, Delingette and Ayache 2000, RR-4028, s. 6";

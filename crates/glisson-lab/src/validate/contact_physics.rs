@@ -18,7 +18,7 @@ use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams};
 use glisson::model::kernel::KernelLaw;
 use glisson::model::{DeformableModel, DynamicBody, Rayleigh};
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 use std::fmt::Write as _;
 
 const OWN: &str = "requirement";

@@ -10,7 +10,7 @@ use glisson::mesh::quality::{MeshQuality, dihedral_angles_deg};
 use glisson::mesh::remap::follow_in_tissue;
 use glisson::mesh::topology::Through;
 use glisson::tool::cut::subdivision::{CutReport, SubdivisionCut, SubdivisionParams};
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 
 const REQUIREMENT: &str = "requirement";
 const LIVER_TETS: usize = 6_300;

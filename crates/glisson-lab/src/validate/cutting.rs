@@ -15,7 +15,7 @@ use glisson::model::nonlinear_tensor_mass::{Fibre, NonlinearElasticity, Nonlinea
 use glisson::model::tensor_mass::TensorMass;
 use glisson::model::{DeformableModel, ImposedDisplacement};
 use glisson::solve::BoundaryConditions;
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 use std::collections::BTreeMap;
 
 const REBUILD: &str = "Picinbono, Delingette and Ayache 2000, RR-4028, s. 3.2: as if removed at rest";

@@ -17,7 +17,7 @@ use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::kernel::KernelLaw;
 use glisson::model::{DeformableModel, DynamicBody, FixedNode, Rayleigh};
 use glisson::tool::cut::subdivision::{SubdivisionCut, SubdivisionParams};
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 
 const BENCHMARK: &str = "T7: cutting sanity";
 const SIZE_M: DVec3 = DVec3::new(0.06, 0.06, 0.04);

@@ -24,7 +24,7 @@ use glisson::model::{DynamicBody, Rayleigh};
 use glisson::tool::{Grip, Tool, ToolInput};
 use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
 use glisson::world::{StepInput, World};
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 use std::f64::consts::TAU;
 
 const ISSUE: &str = "requirement: local model below 10 %";

@@ -24,8 +24,8 @@ use glisson::mesh::TetMesh;
 use glisson::mesh::files::write_mesh;
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::StepInput;
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 use glisson_runtime::{OpenScene, Simulation};
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
 use std::path::Path;
 
 const ISSUE: &str = "requirement";

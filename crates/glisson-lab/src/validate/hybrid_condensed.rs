@@ -11,7 +11,7 @@ use glisson::solve::{BoundaryConditions, StaticProblem, solve_static};
 use super::hybrid::timed_s;
 use super::{Experiment, Figure, Outcome};
 use crate::bench::hybrid::ZonedBody;
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 
 const SEED_003: &str = "Checoury 2002, s. 5.2 and fig. 5.9";
 const OWN: &str = "requirement";

@@ -14,7 +14,7 @@ use glisson::mesh::repair::{
 use glisson::mesh::topology::Through;
 use glisson::mesh::{NodeId, TetMesh};
 use glisson::tool::cut::scalpel::{ScalpelCut, ScalpelParams};
-use glisson_view::plot::{LinePlot, SeriesStyle};
+use glisson_report::plot::{LinePlot, SeriesStyle};
 
 const SEED: &str = "Chendeb 2007, NNT 2007ENMP1614, s. 4.4.2";
 const FIGURE: &str = "Chendeb 2007, NNT 2007ENMP1614, fig. 4.21: remeshing disperses less";

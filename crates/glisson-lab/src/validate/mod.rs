@@ -43,7 +43,7 @@ mod tubes;
 mod unit;
 mod volume;
 
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 use serde::Serialize;
 
 /// One claim, reproduced.

@@ -22,7 +22,7 @@ use glisson::model::rheology::{
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
 use glisson::model::{DeformableModel, DynamicBody, Integration, Rayleigh};
 use glisson::solve::{BoundaryConditions, StaticProblem, solve_static};
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 
 /// Damping over mass of all models on the bench [1/s].
 pub(super) const BENCH_DAMPING_PER_S: f64 = 30.0;

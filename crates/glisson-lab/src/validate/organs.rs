@@ -10,7 +10,7 @@ use glisson::mesh::organs::{
     mesh_organs,
 };
 use glisson::mesh::quality::SurfaceShape;
-use glisson_view::plot::{LinePlot, SeriesStyle};
+use glisson_report::plot::{LinePlot, SeriesStyle};
 use std::collections::BTreeSet;
 
 const OWN: &str = "requirement: multi-organ phantom";

@@ -27,7 +27,7 @@ use glisson::model::{
     Rayleigh,
 };
 use glisson::solve::{BoundaryConditions, NonlinearProblem, NonlinearSettings, solve_nonlinear};
-use glisson_view::plot::{LinePlot, SeriesStyle};
+use glisson_report::plot::{LinePlot, SeriesStyle};
 use std::fmt::Write as _;
 use std::sync::Arc;
 

@@ -11,7 +11,7 @@ use glisson::mesh::edit::{EditableMesh, MeshEdit};
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::DeformableModel;
 use glisson::model::precomputed::{CutReport, Precision, Precomputed, PrecomputedParams, StoredNodes};
-use glisson_view::plot::{LinePlot, SeriesStyle};
+use glisson_report::plot::{LinePlot, SeriesStyle};
 
 const SEED: &str = "Checoury 2002, s. 1: the pre-computed model cannot be cut";
 const OWN: &str = "requirement";

@@ -19,7 +19,7 @@ use glisson::model::nonlinear_tensor_mass::NonlinearTensorMass;
 use glisson::model::tensor_mass::TensorMass;
 use glisson::model::{Constraints, DeformableModel, ImposedDisplacement};
 use glisson::solve::BoundaryConditions;
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 use std::collections::BTreeSet;
 
 const SEED: &str = "Checoury 2002, s. 3.6";

@@ -14,7 +14,7 @@ use glisson::mesh::{NodeId, TetMesh};
 use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::quasi_nonlinear::{Correction, Fit, LinearSample, QuasiNonlinear, fit_curve};
 use glisson::model::{Constraints, DeformableModel, ImposedDisplacement};
-use glisson_view::plot::{LinePlot, SeriesStyle};
+use glisson_report::plot::{LinePlot, SeriesStyle};
 
 const SEED: &str =
     "Cotin, Delingette and Ayache 1998, RR-3511, s. 3.4 and 6.1, fig. 13; curve of T1 at 0.64/s";

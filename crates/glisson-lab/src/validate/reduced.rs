@@ -14,7 +14,7 @@ use glisson::solve::StaticProblem;
 use glisson::solve::{
     BoundaryConditions, NonlinearProblem, NonlinearSettings, solve_nonlinear, solve_static,
 };
-use glisson_view::plot::{LinePlot, SeriesStyle};
+use glisson_report::plot::{LinePlot, SeriesStyle};
 
 const SOURCE: &str = "full Newton solution of St Venant and Kirchhoff's law (part B)";
 const YOUNG_MODULUS_PA: f64 = 5_000.0;

@@ -19,7 +19,7 @@ use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::nonlinear_tensor_mass::{NonlinearPart, NonlinearTensorMass};
 use glisson::model::{DeformableModel, ImposedDisplacement};
 use glisson::solve::BoundaryConditions;
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 use std::hint::black_box;
 
 const SEED: &str = "Picinbono, Delingette and Ayache 2000, RR-4028, fig. 11";

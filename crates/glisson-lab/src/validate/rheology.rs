@@ -10,7 +10,7 @@ use glisson::model::rheology::experiments::{
     SIDE_M, UniaxialOutcome, UniaxialParams, drop_irregular_cube, force_operations, indentation_of_cube,
     mass_spring_cubes, uniaxial, uniaxial_force_n,
 };
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 
 const DROP: &str = "seed 000 s. 2.3.2, figs 2.5 and 2.6 (no figure printed: own height and limit)";
 const UNIAXIAL: &str = "exact: 25 F (F^2 - 1) N, seed 000 eq. 3.76 and 3.79";

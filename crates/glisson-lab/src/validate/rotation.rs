@@ -15,7 +15,7 @@ use glisson::mesh::box_mesh::cube_of_five;
 use glisson::model::DeformableModel;
 use glisson::model::nonlinear_tensor_mass::{NonlinearPart, NonlinearTensorMass};
 use glisson::model::tensor_mass::TensorMass;
-use glisson_view::plot::{LinePlot, SeriesStyle};
+use glisson_report::plot::{LinePlot, SeriesStyle};
 
 const SEED: &str = "Picinbono, Delingette and Ayache 2000, RR-4028, s. 2.2, fig. 2";
 const EXACT: &str = "exact: strain (cos theta - 1) across the axis";

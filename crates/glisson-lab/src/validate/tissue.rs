@@ -4,7 +4,7 @@ use super::unit::{pressed_bar_pa, within_share};
 use super::{Experiment, Figure, Outcome, series};
 use glam::{DMat3, DVec3};
 use glisson::material::{LinearElastic, Ogden, PronySeries, PronyTerm};
-use glisson_view::plot::{LinePlot, SeriesStyle};
+use glisson_report::plot::{LinePlot, SeriesStyle};
 
 /// The article was not at hand: mu and alpha also stand in SlicerCBM's code, for the series no second source was found.
 const SOURCE: &str = "closed form; model of Miller and Chinzei 2002, doi 10.1016/S0021-9290(01)00234-2";

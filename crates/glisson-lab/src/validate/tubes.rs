@@ -15,7 +15,7 @@ use glisson::mesh::TetMesh;
 use glisson::mesh::box_mesh::box_of_five;
 use glisson::model::nonlinear_tensor_mass::{Fibre, NonlinearElasticity};
 use glisson::solve::BoundaryConditions;
-use glisson_view::plot::{LinePlot, SeriesStyle};
+use glisson_report::plot::{LinePlot, SeriesStyle};
 
 const SEED: &str = "Picinbono, Delingette and Ayache 2000, RR-4028, fig. 6";
 const EXACT: &str = "exact: uniaxial tension, E_L = E + 2 kappa";

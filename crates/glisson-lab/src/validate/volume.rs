@@ -18,7 +18,7 @@ use glisson::mesh::{NodeId, TetMesh};
 use glisson::model::DeformableModel;
 use glisson::model::nonlinear_tensor_mass::NonlinearElasticity;
 use glisson::solve::BoundaryConditions;
-use glisson_view::plot::{LinePlot, SeriesStyle};
+use glisson_report::plot::{LinePlot, SeriesStyle};
 
 const TABLE: &str = "Picinbono, Delingette and Ayache 2000, RR-4028, table 2";
 pub(super) const RADIUS_M: f64 = 0.018;

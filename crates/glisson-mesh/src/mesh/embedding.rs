@@ -25,7 +25,7 @@ use crate::math::{DVec3, tetrahedron_volume_m3};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// A node as a mean of nodes of one tetrahedron; places beyond the first `n` have the weight 0.
+/// A node as a mean of nodes of one tetrahedron; places beyond the first `n` have the first node and the weight 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tie {
     n: u8,
@@ -52,8 +52,10 @@ impl Tie {
     /// The mean of what its nodes have.
     #[inline]
     pub fn mean(&self, of: impl Fn(NodeId) -> DVec3) -> DVec3 {
-        let Self { nodes: [a, b, c, d], weights, .. } = *self;
-        // Places that are not used have the weight 0.
+        let Self { n, nodes: [a, b, c, d], weights } = *self;
+        if n == 1 {
+            return of(a);
+        }
         DVec3::ZERO + of(a) * weights[0] + of(b) * weights[1] + of(c) * weights[2] + of(d) * weights[3]
     }
 
@@ -75,7 +77,9 @@ impl Tie {
                 found.weights[at] += weight * share;
             }
         }
-        (found.n > 0).then_some(found)
+        let (used, unused) = found.nodes.split_at_mut(found.n.into());
+        unused.fill(*used.first()?);
+        Some(found)
     }
 }
 

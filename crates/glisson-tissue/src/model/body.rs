@@ -63,5 +63,5 @@ impl<'a> DynamicBody<'a> {
     }
 }
 
-/// Enough for the bound that holds after any cuts, which is about half of the uncut step, with room to spare.
+/// Enough for the bound of single tetrahedra, which holds after any cuts and is about half of the uncut step, with room to spare.
 pub const DEFAULT_MOST_PARTS: u32 = 4;

@@ -194,8 +194,13 @@ pub trait DeformableModel: Send {
     fn state(&self) -> ModelState<'_>;
 
     /// Appends the further numbers that the next step depends on (previous positions, viscous history). With [`Self::state`]
-    /// they are all that changes in time.
-    fn history_into(&self, _numbers: &mut Vec<f64>) {}
+    /// they are all that changes in time: hashes and replays see no more.
+    fn history_into(&self, numbers: &mut Vec<f64>);
+
+    /// The clocks of bodies that have one [s], each also among the numbers of [`DeformableModel::history_into`].
+    fn clocks_s(&self) -> &[f64] {
+        &[]
+    }
 
     /// The numbers of [`DeformableModel::history_into`].
     fn history(&self) -> Vec<f64> {
@@ -213,9 +218,9 @@ pub trait DeformableModel: Send {
     fn take_over(&mut self, positions_m: &[DVec3]);
 
     /// [`DeformableModel::take_over`] of another model's state, with its velocities where it tells them and this model has
-    /// its own answer to that: tissue in motion goes on. Others start at standstill. `history` has the other model's numbers;
-    /// only the clocks of bodies that have one are read.
-    fn take_over_in_motion(&mut self, state: &ModelState<'_>, _history: &[f64]) {
+    /// its own answer to that: tissue in motion goes on. Others start at standstill. `clocks_s`: the other model's
+    /// ([`DeformableModel::clocks_s`]).
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>, _clocks_s: &[f64]) {
         self.take_over(state.positions_m);
     }
 

@@ -196,8 +196,12 @@ impl DeformableModel for RigidBody {
         self.set_clock(0.0);
     }
 
-    fn take_over_in_motion(&mut self, state: &ModelState<'_>, history: &[f64]) {
-        self.set_clock(history.first().copied().unwrap_or(0.0));
+    fn clocks_s(&self) -> &[f64] {
+        &self.clock_s
+    }
+
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>, clocks_s: &[f64]) {
+        self.set_clock(clocks_s.first().copied().unwrap_or(0.0));
         if state.velocities_m_per_s.len() == self.velocities_m_per_s.len() && self.moves() {
             self.velocities_m_per_s.copy_from_slice(state.velocities_m_per_s);
         }

@@ -7,7 +7,6 @@ mod flow;
 mod socket;
 pub mod passive;
 
-use crate::report::{ReportContext, task_report};
 use access::Access;
 use anyhow::Context;
 use axum::Router;
@@ -20,6 +19,7 @@ use glisson::training::task::TaskRecord;
 use glisson_protocol::conversation::Room;
 use glisson_protocol::hands::{self, Hands};
 use glisson_protocol::messages::{self, HapticsAt};
+use glisson_report::{ReportContext, task_report};
 use glisson_results::Comparison;
 use glisson_runtime::Simulation;
 use glisson_runtime::haptic_loop::{HapticLoop, HapticReport, HapticSettings, HeldTool, Meters, ToolLink};

@@ -486,7 +486,7 @@ impl World {
             && let Some(mut model) = swap.model
         {
             self.model.bring_up_to_date();
-            model.take_over_in_motion(&self.model.state(), &self.model.history());
+            model.take_over_in_motion(&self.model.state(), self.model.clocks_s());
             model.set_gravity(self.pull_m_per_s2);
             self.model = model;
             self.keep_level_of_detail();

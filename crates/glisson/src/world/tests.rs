@@ -43,6 +43,8 @@ impl DeformableModel for SpringBed {
         ModelState { positions_m: &self.positions_m, velocities_m_per_s: &[] }
     }
 
+    fn history_into(&self, _numbers: &mut Vec<f64>) {}
+
     fn constraint_forces_n(&self) -> &[DVec3] {
         &self.forces_n
     }

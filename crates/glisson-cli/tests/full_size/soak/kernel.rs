@@ -54,6 +54,10 @@ impl DeformableModel for Watched {
         self.model.state()
     }
 
+    fn history_into(&self, numbers: &mut Vec<f64>) {
+        self.model.history_into(numbers);
+    }
+
     fn constraint_forces_n(&self) -> &[DVec3] {
         self.model.constraint_forces_n()
     }

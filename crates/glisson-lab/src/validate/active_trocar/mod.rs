@@ -15,7 +15,7 @@ use glisson::haptics::trocar::{
     ContactForce, Mapping, N_AXES, Saturation, TrocarJoints, TrocarProfile, Wrench,
 };
 use glisson::math::SeededRandom;
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 
 const THESIS: &str = "Chendeb 2007 (seed 000), s. 5.4.4";
 const PROTOTYPE: &str = "Chendeb 2007 (seed 000), s. 5.4.5";

@@ -9,7 +9,7 @@ mod motion;
 use self::cases::Tetrahedra;
 use super::{Experiment, Figure, Outcome};
 use glisson::solve::Smoothing;
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 
 const KINDS: [Tetrahedra; 2] = [Tetrahedra::Plain, Tetrahedra::Smoothed(Smoothing::BENDING)];
 

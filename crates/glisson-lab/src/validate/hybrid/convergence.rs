@@ -2,7 +2,7 @@
 
 use super::{Case, Load, SEED, ZONE_CELLS, figure};
 use crate::validate::{Experiment, Figure, Outcome};
-use glisson_view::plot::{Series, SeriesStyle};
+use glisson_report::plot::{Series, SeriesStyle};
 
 /// Cells along the bar of each zone, from the loaded end.
 const SIZE_CELLS: [&[usize]; 3] = [&[3, 12], &[7, 8], &[12, 3]];

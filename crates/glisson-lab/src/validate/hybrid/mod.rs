@@ -22,7 +22,7 @@ use glisson::mesh::{NodeId, TetMesh};
 use glisson::model::hybrid::exchange::{ExchangeParams, HybridExchange, ZoneLaw};
 use glisson::model::{Constraints, DeformableModel, ImposedDisplacement};
 use glisson::solve::{BoundaryConditions, MeshEdges};
-use glisson_view::plot::{LinePlot, Series};
+use glisson_report::plot::{LinePlot, Series};
 
 const SEED: &str = "Checoury 2002 (seed 003), s. 5.1";
 const FORMULAS: &str = "Checoury 2002 (seed 003), s. 4.4";

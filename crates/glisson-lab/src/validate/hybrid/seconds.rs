@@ -6,7 +6,7 @@ use crate::validate::{Experiment, Outcome};
 use glisson::math::DVec3;
 use glisson::model::DeformableModel;
 use glisson::solve::BoundaryConditions;
-use glisson_view::plot::{Series, SeriesStyle};
+use glisson_report::plot::{Series, SeriesStyle};
 
 /// The error that counts as reached, in edges.
 const TARGET: f64 = 1e-2;

@@ -18,7 +18,7 @@ use glisson::scene::{OrganBody, build_model};
 use glisson::tool::{Tool, ToolInput};
 use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
 use glisson::world::{StepInput, World};
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_report::plot::{LinePlot, Series, SeriesStyle};
 use run::{Case, Run, SpringMass, TICKS_PER_S, run};
 
 const OWN: &str = "requirement";

@@ -14,7 +14,7 @@ use glisson::scene::{Scene, build_world};
 use glisson::suture::nearest_to_itself_m;
 use glisson::workers::Sequential;
 use glisson::world::{StepInput, World};
-use glisson_view::plot::{LinePlot, SeriesStyle};
+use glisson_report::plot::{LinePlot, SeriesStyle};
 use std::fmt::Write as _;
 use std::sync::Arc;
 

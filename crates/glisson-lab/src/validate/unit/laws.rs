@@ -13,7 +13,7 @@ use glisson::material::{
 use glisson::mesh::NodeId;
 use glisson::mesh::box_mesh::cube_of_five;
 use glisson::solve::{BoundaryConditions, NonlinearProblem, solve_nonlinear};
-use glisson_view::plot::{LinePlot, SeriesStyle};
+use glisson_report::plot::{LinePlot, SeriesStyle};
 
 /// M3: P = dW/dF and dP by central differences; the projected tangent has no negative eigenvalue.
 pub(super) fn derivatives(outcome: &mut Outcome) -> anyhow::Result<()> {

@@ -54,6 +54,7 @@ pub struct Composite {
     // What all have together.
     positions_m: Vec<DVec3>,
     velocities_m_per_s: Vec<DVec3>,
+    clocks_s: Vec<f64>,
     imposed_at: Vec<ImposedAt>,
     constraint_forces_n: Vec<DVec3>,
     // Scratch of local models.
@@ -92,6 +93,7 @@ impl Composite {
             in_parallel,
             positions_m: Vec::new(),
             velocities_m_per_s: Vec::new(),
+            clocks_s: Vec::new(),
             imposed_at: Vec::with_capacity(IMPOSED),
             constraint_forces_n: Vec::with_capacity(IMPOSED),
             patch: Vec::with_capacity(most),
@@ -122,12 +124,16 @@ impl Composite {
     /// Brings the joint state up to date.
     fn publish(&mut self) {
         let n_nodes = self.maps.nodes.len();
-        let Self { parts, maps, positions_m, velocities_m_per_s, .. } = self;
+        let Self { parts, maps, positions_m, velocities_m_per_s, clocks_s, .. } = self;
         let moves = parts.iter().any(|part| !lock(part).model.state().velocities_m_per_s.is_empty());
         positions_m.resize(n_nodes, DVec3::ZERO);
         velocities_m_per_s.resize(if moves { n_nodes } else { 0 }, DVec3::ZERO);
+        clocks_s.clear();
         for (p, part) in parts.iter().enumerate() {
             let part = lock(part);
+            if part.has_clock {
+                clocks_s.extend_from_slice(part.model.clocks_s());
+            }
             let state = part.model.state();
             let of_part = maps.nodes.of_part(p);
             for (&joint, position_m) in of_part.iter().zip(state.positions_m) {
@@ -276,8 +282,12 @@ impl DeformableModel for Composite {
         self.publish();
     }
 
-    fn take_over_in_motion(&mut self, state: &ModelState<'_>, history: &[f64]) {
-        let mut clocks = history.iter();
+    fn clocks_s(&self) -> &[f64] {
+        &self.clocks_s
+    }
+
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>, clocks_s: &[f64]) {
+        let mut clocks = clocks_s.iter();
         for (p, mut part) in self.all().enumerate() {
             let of_part = self.maps.nodes.of_part(p);
             let Part { model, moves_m, velocities_m_per_s, has_clock, .. } = &mut *part;
@@ -290,8 +300,9 @@ impl DeformableModel for Composite {
             }
             let velocities_m_per_s: &[DVec3] =
                 if state.velocities_m_per_s.is_empty() { &[] } else { velocities_m_per_s };
-            let history = if *has_clock { clocks.next().map_or(&[][..], std::slice::from_ref) } else { &[] };
-            model.take_over_in_motion(&ModelState { positions_m: moves_m, velocities_m_per_s }, history);
+            let of_part_s =
+                if *has_clock { clocks.next().map_or(&[][..], std::slice::from_ref) } else { &[] };
+            model.take_over_in_motion(&ModelState { positions_m: moves_m, velocities_m_per_s }, of_part_s);
         }
         self.publish();
     }

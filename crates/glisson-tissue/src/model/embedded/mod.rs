@@ -276,9 +276,13 @@ impl DeformableModel for Embedded {
         self.publish();
     }
 
-    fn take_over_in_motion(&mut self, state: &ModelState<'_>, history: &[f64]) {
+    fn clocks_s(&self) -> &[f64] {
+        self.model.clocks_s()
+    }
+
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>, clocks_s: &[f64]) {
         if self.is_whole {
-            self.model.take_over_in_motion(state, history);
+            self.model.take_over_in_motion(state, clocks_s);
             return;
         }
         let positions_m =
@@ -288,7 +292,7 @@ impl DeformableModel for Embedded {
             known => self.fit(known, |_| DVec3::ZERO),
         };
         let of_copies = ModelState { positions_m: &positions_m, velocities_m_per_s: &velocities_m_per_s };
-        self.model.take_over_in_motion(&of_copies, &[]);
+        self.model.take_over_in_motion(&of_copies, clocks_s);
         self.before_m_per_s.fill(DVec3::ZERO);
         self.publish();
     }

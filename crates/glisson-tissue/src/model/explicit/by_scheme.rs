@@ -14,7 +14,8 @@
 use super::cuttable::LiveTets;
 use super::dynamics::Mover;
 use super::frame::{Frame, Quarantine, Sliding};
-use super::stable::{MARGIN, Stability, StiffTet};
+use super::mass_shares::StiffTet;
+use super::stable::{MARGIN, Stability};
 use super::{ExplicitError, keep};
 use crate::model::local_model::LocalFrame;
 use crate::model::topology_update::TopologyUpdate;

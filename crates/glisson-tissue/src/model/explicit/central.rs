@@ -17,7 +17,8 @@
 use super::cuttable::LiveTets;
 use super::dynamics::Mover;
 use super::frame::{Frame, Quarantine};
-use super::stable::{MARGIN, Stability, StableStep, StiffTet};
+use super::mass_shares::StiffTet;
+use super::stable::{MARGIN, Stability, StableStep};
 use super::{ExplicitError, Padded, keep, padded, unpadded};
 use crate::model::topology_update::TopologyUpdate;
 use crate::model::{

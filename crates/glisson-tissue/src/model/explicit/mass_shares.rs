@@ -8,18 +8,34 @@
 //! 0.7 to 0.85 of the longest one; with each tetrahedron's own mass it is half.
 //!
 //! After an edit the shares at its nodes are others, and what is known of the tetrahedra there bounds what they have now: a squared
-//! frequency grows at most as much as the least of its shares shrank. Only where that is above the bound so far they are looked at anew.
+//! frequency grows at most as much as that share shrank which shrank most. Only where that is above the bound so far they are looked at anew.
 //!
 //! A ligament counts as a tetrahedron at its node alone, with its stiffness as demand.
 //!
 //! The bound is that of the live tetrahedra: a removal may raise it.
 
-use super::StiffTet;
+use crate::solve::TetStiffness;
 use glisson_mesh::mesh::{NodeId, TetId};
 
 /// Rounds that find the factors of the demands, and what a factor shrinks to at most in a round: a choice. More rounds bring a hundredth.
 const ROUNDS: usize = 4;
 const LEAST_FACTOR: f64 = 0.5;
+
+/// A tetrahedron's part in the stable step.
+#[derive(Clone, Copy)]
+pub(in crate::model) struct StiffTet {
+    /// Its tensors in the rest shape.
+    pub at_rest: TetStiffness,
+    /// Bound of its highest squared frequency in any shape allowed for, over the one at rest; from 1.
+    pub stiffening: f64,
+}
+
+impl StiffTet {
+    /// Bound of its squared frequency by itself, for every shape allowed for, with these masses at its corners [1/s2].
+    pub(in crate::model) fn squared_frequency_per_s2(&self, corners_kg: [f64; 4]) -> f64 {
+        self.stiffening * self.at_rest.squared_frequency_bound_per_s2(corners_kg)
+    }
+}
 
 /// What is known of a tetrahedron: its squared frequency [1/s2] with these shares at its corners [kg].
 #[derive(Clone, Copy, Debug)]
@@ -34,8 +50,8 @@ impl Known {
     /// The most that the squared frequency is with other shares.
     fn at_most_per_s2(&self, shares_kg: &[f64; 4]) -> f64 {
         let shrank = self.shares_kg.iter().zip(shares_kg).map(|(before, now)| before / now);
-        // A hair more, so that rounding decides nothing.
-        self.per_s2 * shrank.fold(1e-300, f64::max) * (1.0 + 1e-9)
+        // A hair more, so that rounding decides nothing; and above 0, so that nothing known stays endless.
+        self.per_s2 * shrank.fold(f64::MIN_POSITIVE, f64::max) * (1.0 + 1e-9)
     }
 }
 
@@ -174,7 +190,9 @@ impl MassShares {
     }
 
     fn look_at(&mut self, tet: TetId, shares_kg: [f64; 4], stiffness: &impl Fn(TetId) -> StiffTet) -> f64 {
-        let per_s2 = stiffness(tet).squared_frequency_per_s2(shares_kg);
+        // No mass at a corner is no bound: what is no number comes of a share below zero, which rounding may leave.
+        let per_s2 = Some(stiffness(tet).squared_frequency_per_s2(shares_kg)).filter(|bound| !bound.is_nan());
+        let per_s2 = per_s2.unwrap_or(f64::INFINITY);
         self.known[tet.index()] = Known { shares_kg, per_s2 };
         per_s2
     }
@@ -252,7 +270,7 @@ mod tests {
             shares.squared_frequency_per_s2(&self.mesh.tetrahedra, is_live, &no_ligaments, stiffness)
         }
 
-        fn from_below_per_s2(&self, masses_kg: &[f64]) -> f64 {
+        fn estimate_per_s2(&self, masses_kg: &[f64]) -> f64 {
             let rest = self.rest();
             let edges = MeshEdges::of_mesh(&rest).unwrap();
             let stiffness = stiffness_of(&rest, &self.tissue);
@@ -275,7 +293,7 @@ mod tests {
             let body = Body::new(seed);
             let masses_kg = body.masses_kg();
             let bound = body.bound_per_s2(&mut body.shares.clone(), &masses_kg);
-            let below = body.from_below_per_s2(&masses_kg);
+            let below = body.estimate_per_s2(&masses_kg);
             let alone_s = StableStep::of(&body.mesh, &body.tissue).unwrap().after_cuts_s;
             let alone = 4.0 / (alone_s * alone_s);
             assert!(bound >= below && bound < 2.0 * below, "{below} {bound}");
@@ -301,7 +319,7 @@ mod tests {
                 let mut anew = body.fresh_shares();
                 anew.factor.clone_from(&kept.factor);
                 assert_eq!(bound, body.bound_per_s2(&mut anew, &masses_kg));
-                assert!(bound >= body.from_below_per_s2(&masses_kg));
+                assert!(bound >= body.estimate_per_s2(&masses_kg));
             }
         }
     }

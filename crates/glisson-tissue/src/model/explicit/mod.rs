@@ -24,10 +24,12 @@ pub(in crate::model) use cuttable::{
 };
 pub(in crate::model) use dynamics::{ExplicitDynamics, Mover};
 pub(in crate::model) use frame::{Quarantine, check_body};
-pub(in crate::model) use mass_shares::MassShares;
+pub(in crate::model) use mass_shares::{MassShares, StiffTet};
 pub(in crate::model) use rest_tensions::RestTensions;
+#[cfg(test)]
+pub(in crate::model) use stable::estimate_from_below;
 pub use stable::{MOST_NODES_PROVEN, StableStep};
-pub(in crate::model) use stable::{Stability, StiffTet, masses_kg};
+pub(in crate::model) use stable::{Stability, masses_kg};
 pub(in crate::model) use stand_in::{StandIn, StandIns};
 
 use crate::solve::SolveError;

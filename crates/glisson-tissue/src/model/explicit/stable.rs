@@ -7,7 +7,7 @@
 //! After any cuts: K and the lumped M are sums over tetrahedra, so the largest Rayleigh quotient of the whole, a
 //! quotient of sums, is at most the largest quotient of a single tetrahedron with its own mass rho V/4 a corner
 //! (the element eigenvalue theorem of Irons and Treharne, 1971, 3rd Conference on Matrix Methods in Structural
-//! Mechanics); each is bounded from above by [`TetStiffness::squared_frequency_bound_per_s2`]. Removals only take
+//! Mechanics); each is bounded from above by [`crate::solve::TetStiffness::squared_frequency_bound_per_s2`]. Removals only take
 //! quotients away, so the bound stays. It is about half of the true limit, for corners share their mass.
 //!
 //! Uncut: power iteration estimates omega_max^2 from below; a value theta a few per cent above it is proven to
@@ -15,15 +15,12 @@
 //! than [`MOST_NODES_PROVEN`] nodes take a bound of shared masses ([`MassShares`]), because the factorization would take long.
 //! Held nodes are left out of account: holding a node never raises a frequency.
 //!
-//! A law that stiffens as it is stretched tells by how much ([`StiffTet::stiffening`]); the bound after cuts then
-//! holds for every shape allowed for, and the uncut one is the proven one at rest with the largest stiffening of
-//! all tetrahedra: an estimate.
+//! A law that stiffens as it is stretched tells by how much ([`StiffTet::stiffening`]); the bounds after cuts and of shared masses then
+//! hold for every shape allowed for, and the proven one is that at rest with the largest stiffening of all tetrahedra: an estimate.
 
-use super::MassShares;
+use super::mass_shares::{MassShares, StiffTet};
 use crate::material::LinearElastic;
-use crate::solve::{
-    BoundaryConditions, FreeSystem, MeshEdges, P1Gradients, SolveError, StiffnessTensors, TetStiffness,
-};
+use crate::solve::{BoundaryConditions, FreeSystem, MeshEdges, P1Gradients, SolveError, StiffnessTensors};
 use glisson_mesh::math::{DMat3, DVec3, SeededRandom};
 use glisson_mesh::mesh::{TetId, TetMesh};
 
@@ -112,7 +109,7 @@ impl Stability {
         let uncut = if mesh.positions_m.len() > MOST_NODES_PROVEN {
             let no_ligaments = vec![0.0; mesh.positions_m.len()];
             let stiffness = |tet: TetId| stiff[tet.index()];
-            let mut shares = stability.mass_shares(mesh, density_kg_per_m3, &no_ligaments, stiffness);
+            let mut shares = stability.take_mass_shares(mesh, density_kg_per_m3, &no_ligaments, stiffness);
             let bound = shares.squared_frequency_per_s2(&mesh.tetrahedra, |_| true, &no_ligaments, stiffness);
             stability.shares = Some(shares);
             bound
@@ -163,8 +160,9 @@ impl Stability {
         Self { step, tet_squared_frequency_per_s2, tet_stiffening: Vec::new(), shares: None }
     }
 
-    /// Shares of the nodes' masses for these tetrahedra.
-    pub(in crate::model) fn mass_shares(
+    /// Shares of the nodes' masses for these tetrahedra. On meshes of more than [`MOST_NODES_PROVEN`] nodes they were found already,
+    /// without ligaments, and are given away.
+    pub(in crate::model) fn take_mass_shares(
         &mut self,
         mesh: &TetMesh,
         density_kg_per_m3: f64,
@@ -202,22 +200,6 @@ fn step_s(squared_frequency_per_s2: f64) -> f64 {
     MARGIN * 2.0 / squared_frequency_per_s2.sqrt()
 }
 
-/// A tetrahedron's part in the stable step.
-#[derive(Clone, Copy)]
-pub(in crate::model) struct StiffTet {
-    /// Its tensors in the rest shape.
-    pub at_rest: TetStiffness,
-    /// Bound of its highest squared frequency in any shape allowed for, over the one at rest; from 1.
-    pub stiffening: f64,
-}
-
-impl StiffTet {
-    /// Bound of its squared frequency by itself, for every shape allowed for, with these masses at its corners [1/s2].
-    pub(in crate::model) fn squared_frequency_per_s2(&self, corners_kg: [f64; 4]) -> f64 {
-        self.stiffening * self.at_rest.squared_frequency_bound_per_s2(corners_kg)
-    }
-}
-
 /// A proven upper bound of the largest eigenvalue of M^-1 K [1/s2], at most `known`, which is one.
 fn proven_squared_frequency(
     edges: &MeshEdges,
@@ -251,7 +233,11 @@ fn proven_squared_frequency(
 }
 
 /// Rayleigh quotient after power iteration: a lower bound of the largest eigenvalue of M^-1 K.
-pub(super) fn estimate_from_below(edges: &MeshEdges, tensors: &StiffnessTensors, mass_kg: &[f64]) -> f64 {
+pub(in crate::model) fn estimate_from_below(
+    edges: &MeshEdges,
+    tensors: &StiffnessTensors,
+    mass_kg: &[f64],
+) -> f64 {
     let mut random = SeededRandom::new(0);
     let mut x: Vec<DVec3> =
         mass_kg.iter().map(|_| DVec3::new(random.normal(), random.normal(), random.normal())).collect();

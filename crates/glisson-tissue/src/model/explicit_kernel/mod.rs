@@ -24,8 +24,8 @@
 //! limited, the next steps are divided into as many internal ones as the body allows: its law is stiffer there. A
 //! linear law is as stiff at any strain.
 //!
-//! What is left without a tetrahedron stays where it is. New tetrahedra come
-//! into spare lanes of the kernel, which is laid out anew when half as many have come in as there were.
+//! What is left without a tetrahedron stays where it is. New tetrahedra come into spare lanes of the kernel, which is laid out anew
+//! when half as many have come in as there were. An edit goes over all tetrahedra, to find the step that the body bears now.
 
 mod correction;
 mod loads;
@@ -46,7 +46,8 @@ use super::explicit::{ExplicitDynamics, Mover};
 use super::kernel::{ExplicitStep, FastKernel, KernelLaw, Quarantine};
 use super::topology_update::TopologyUpdate;
 use super::{
-    Constraints, Correction, ModelReport, ModelState, ModelUndo, NodalForce, Rayleigh, TopologyRefusal,
+    Constraints, Correction, DeformableModel, ModelReport, ModelState, ModelUndo, NodalForce, Rayleigh,
+    TopologyRefusal,
 };
 use crate::workers::SharedWorkers;
 use glisson_mesh::math::DVec3;
@@ -319,7 +320,7 @@ impl ExplicitKernel {
     /// The moving state, to come back to with [`ExplicitKernel::restore`].
     pub fn snapshot(&self) -> ExplicitKernelSnapshot {
         ExplicitKernelSnapshot {
-            history: super::DeformableModel::history(self),
+            history: DeformableModel::history(self),
             positions_m: self.positions_m.clone(),
             velocities_m_per_s: self.velocities_m_per_s.clone(),
         }
@@ -358,7 +359,8 @@ impl ExplicitKernel {
 
     /// What the last step added to a node's displacement [m], held or not.
     fn increment_m(&self, node: NodeId) -> DVec3 {
-        let held = self.held.iter().find(|held| held.node == node);
+        // Of a node that is held twice the last place counts.
+        let held = self.held.iter().rev().find(|held| held.node == node);
         held.map_or_else(|| self.kernel.increment_m(node), |held| held.moved_m)
     }
 
@@ -642,7 +644,10 @@ impl ExplicitDynamics for ExplicitKernel {
                         self.remove_tet(tet);
                     }
                 }
-                self.stability.measure(&self.rest, &self.substance, &self.kernel);
+                // A compaction does it itself.
+                if !change.tets.removed.is_empty() && !change.is_renumbering() {
+                    self.stability.measure(&self.rest, &self.substance, &self.kernel);
+                }
             }
         }
         // A held node that lost its last tetrahedron has nothing to pull on.

@@ -43,7 +43,7 @@ impl ExplicitKernel {
         }
         self.time_step_s = step_s;
         self.stability.step.step_s = step_s;
-        self.stability.cut_s = step_s;
+        self.stability.assured_s = step_s;
         n_heavier
     }
 

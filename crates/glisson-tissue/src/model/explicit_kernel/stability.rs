@@ -59,6 +59,8 @@ pub(super) struct Stability {
     pub(super) step: StableStep,
     /// From then on, with it, for the body as it is [s].
     pub(super) cut_s: f64,
+    /// What inertia from elsewhere assures after any cuts [s]; 0 without.
+    pub(super) assured_s: f64,
     pub(super) scaling: MassScaling,
     shares: MassShares,
     /// Of each tetrahedron by itself, ligaments at its nodes included [1/s2].
@@ -181,7 +183,7 @@ impl Stability {
             |tet: TetId| elastic.tet_squared_frequency_per_s2[tet.index()] + of_ligaments(tet);
         let tet_per_s2: Vec<f64> = tets().map(with_ligaments).collect();
         let by_tet = |tet: TetId| stiff(tet, &P1Gradients::in_mesh(mesh, tet));
-        let shares = elastic.mass_shares(mesh, body.density_kg_per_m3, &ligaments_n_per_m, by_tet);
+        let shares = elastic.take_mass_shares(mesh, body.density_kg_per_m3, &ligaments_n_per_m, by_tet);
         let stiffening = elastic.tet_stiffening;
         let elastic = elastic.step;
         let tangent_pa = |(tet, stiffening): (TetId, &f64)| stiffening * wave_pa(params.material(tet));
@@ -202,6 +204,7 @@ impl Stability {
         let mut stability = Self {
             step,
             cut_s: step.after_cuts_s,
+            assured_s: 0.0,
             shares,
             scaling: MassScaling::of_tets(Vec::new(), mesh.positions_m.len()),
             tet_per_s2,
@@ -273,10 +276,14 @@ impl Stability {
             StiffTet { at_rest, stiffening: stiffening[tet.index()] }
         };
         let is_live = |tet| kernel.is_live(tet);
-        let per_s2 = shares.squared_frequency_per_s2(&mesh.tetrahedra, is_live, ligaments_n_per_m, stiffness);
+        let shared_per_s2 =
+            shares.squared_frequency_per_s2(&mesh.tetrahedra, is_live, ligaments_n_per_m, stiffness);
+        // Demands are those of the whole body: what is left of it may have none that fit.
+        let alone = self.tet_per_s2.iter().enumerate().filter(|(t, _)| kernel.is_live(TetId::from_index(*t)));
+        let per_s2 = alone.map(|(_, per_s2)| *per_s2).fold(0.0, f64::max).min(shared_per_s2);
         if per_s2 > 0.0 {
-            let assured_s = if self.scaling.n_nodes > 0 { self.shortest_s } else { 0.0 };
-            self.cut_s = longest_s(per_s2, self.stiffness_damping_s).max(assured_s);
+            let scaled_s = if self.scaling.n_nodes > 0 { self.shortest_s } else { 0.0 };
+            self.cut_s = longest_s(per_s2, self.stiffness_damping_s).max(scaled_s).max(self.assured_s);
         }
     }
 
@@ -431,7 +438,56 @@ impl MassScaling {
 
 #[cfg(test)]
 mod tests {
+    use super::super::{DeformableModel, ExplicitKernel};
     use super::*;
+    use crate::model::explicit::estimate_from_below;
+    use crate::solve::{MeshEdges, StiffnessTensors};
+    use glisson_mesh::math::SeededRandom;
+    use glisson_mesh::mesh::box_mesh::irregular_cube;
+    use glisson_mesh::mesh::edit::{EdgeSplit, EditableMesh, MeshEdit};
+
+    #[test]
+    fn after_edits_the_step_is_between_that_of_single_tetrahedra_and_the_longest() {
+        let tissue = LinearElastic::from_young_poisson(5e3, 0.45, 1060.0).unwrap();
+        for seed in 0..4 {
+            let mut random = SeededRandom::new(seed);
+            let mut mesh = EditableMesh::new(irregular_cube(0.05, seed)).unwrap();
+            let body = DynamicBody { time_step_s: 1e-5, ..DynamicBody::new(mesh.mesh(), 1060.0) };
+            let materials = [tissue];
+            let params = ExplicitKernelParams::new(body, KernelLaw::Linear, &materials);
+            let mut model = ExplicitKernel::build(&params).unwrap();
+            for i in 0..16 {
+                let edges: Vec<_> = mesh.topology().live_edges().collect();
+                let tets: Vec<_> = mesh.topology().live_tets().collect();
+                let mut pick = |n: usize| random.uniform_in(0.0, n as f64) as usize;
+                let edit = if i % 2 == 0 {
+                    MeshEdit::Split {
+                        edges: vec![EdgeSplit { edge: edges[pick(edges.len())], fraction: 0.2 }],
+                    }
+                } else {
+                    MeshEdit::Remove { tets: vec![tets[pick(tets.len())]] }
+                };
+                let change = mesh.apply(&edit).unwrap();
+                model.topology_changed(mesh.mesh(), &change).unwrap();
+                let topology = mesh.topology();
+                let live = TetMesh {
+                    positions_m: mesh.mesh().positions_m.clone(),
+                    tetrahedra: topology.live_tets().map(|tet| topology.tet_nodes(tet)).collect(),
+                    ..TetMesh::default()
+                };
+                let edges = MeshEdges::of_mesh(&live).unwrap();
+                let at_rest =
+                    |_, gradients: &P1Gradients| gradients.stiffness(tissue.lambda_pa(), tissue.mu_pa());
+                let tensors = StiffnessTensors::assemble_with(&live, &edges, at_rest).unwrap();
+                let below_per_s2 = estimate_from_below(&edges, &tensors, &masses_kg(&live, 1060.0));
+                let step_s = model.stable_step_s();
+                // Both keep a little below their bounds.
+                let alone_s = 0.999 * StableStep::of(&live, &tissue).unwrap().after_cuts_s;
+                let longest_s = 2.0 / below_per_s2.sqrt();
+                assert!(alone_s <= step_s && step_s < longest_s, "{alone_s} {step_s} {longest_s}");
+            }
+        }
+    }
 
     /// What steps shorter than the stable one are taken to bear.
     #[test]

@@ -189,11 +189,7 @@ impl ExplicitKernel {
             self.loads.refresh(&mut self.kernel, node);
         }
         self.loads.refresh_attachments(&mut self.kernel);
-        if self.kernel.history_len() == 0 {
-            self.publish_nodes(changed.into_iter());
-        } else {
-            self.publish();
-        }
+        self.publish_nodes(changed.into_iter());
     }
 
     /// Memory of relaxing stress of the new tetrahedra: that of their parents, for their volumes.
@@ -257,7 +253,7 @@ impl ExplicitKernel {
         self.report.n_reanalyses += 1;
     }
 
-    /// Makes room for new nodes and tetrahedra in the state.
+    /// Makes room for new nodes in the state.
     fn make_room_for_state(&mut self) {
         let n_nodes = self.rest.positions_m.len();
         self.displacements_m.resize(n_nodes, DVec3::ZERO);

@@ -112,7 +112,7 @@ impl ExplicitKernel {
 
         self.put_history_back(history);
         let per_step = 1.0 / self.kernel.last_step_s().unwrap_or(self.time_step_s);
-        let increments_m = &history[3 * n_nodes..6 * n_nodes].as_chunks::<3>().0;
+        let increments_m = history[3 * n_nodes..6 * n_nodes].as_chunks::<3>().0;
         let rest_m = &self.rest.positions_m;
         self.positions_m.clear();
         self.positions_m.extend(rest_m.iter().zip(&self.displacements_m).map(|(rest_m, u_m)| *rest_m + *u_m));

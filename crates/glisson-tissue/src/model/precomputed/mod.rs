@@ -286,7 +286,7 @@ impl DeformableModel for Precomputed {
     }
 
     /// Loose pieces keep their velocities.
-    fn take_over_in_motion(&mut self, state: &ModelState<'_>, _history: &[f64]) {
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>, _clocks_s: &[f64]) {
         self.take_over(state.positions_m);
         if let Some(cuts) = &mut self.cuts
             && state.velocities_m_per_s.len() == self.rest_m.len()

@@ -570,6 +570,8 @@ impl DeformableModel for HybridExchange {
         ModelState { positions_m: &self.positions_m, velocities_m_per_s: &self.velocity_m_per_s }
     }
 
+    fn history_into(&self, _numbers: &mut Vec<f64>) {}
+
     fn constraint_forces_n(&self) -> &[DVec3] {
         &self.constraint_forces_n
     }

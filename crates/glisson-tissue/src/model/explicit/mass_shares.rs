@@ -67,6 +67,8 @@ pub(in crate::model) struct MassShares {
     mass_kg: Vec<f64>,
     /// Mass of a node over all demands there [kg m/N].
     per_demand: Vec<f64>,
+    /// Whether the demands were found.
+    has_demands: bool,
 }
 
 impl MassShares {
@@ -79,6 +81,7 @@ impl MassShares {
             known: vec![Known::NOTHING; n_tets],
             mass_kg: vec![0.0; n_nodes],
             per_demand: vec![0.0; n_nodes],
+            has_demands: false,
         }
     }
 
@@ -122,19 +125,26 @@ impl MassShares {
         &mut self.mass_kg
     }
 
-    /// Finds what each tetrahedron asks for, with the masses as they are. `stiffness` tells what a tetrahedron has to do with it.
+    /// Finds what each tetrahedron asks for, with the masses as they are, where that was not done before. `stiffness` tells what a tetrahedron has to do with it.
     pub(in crate::model) fn find_demands(
         &mut self,
         tets: &[[NodeId; 4]],
+        is_live: impl Fn(TetId) -> bool + Copy,
         ligaments_n_per_m: &[f64],
         stiffness: impl Fn(TetId) -> StiffTet,
     ) {
+        if std::mem::replace(&mut self.has_demands, true) {
+            return;
+        }
         for _ in 0..ROUNDS {
-            self.share(tets, |_| true, ligaments_n_per_m);
+            self.share(tets, is_live, ligaments_n_per_m);
             let mut most_per_s2 = 0.0;
-            for (tet, nodes) in live(tets, |_| true) {
+            for (tet, nodes) in live(tets, is_live) {
                 let per_s2 = self.look_at(tet, self.shares_kg(tet, nodes), &stiffness);
                 most_per_s2 = f64::max(most_per_s2, per_s2);
+            }
+            if !(most_per_s2 > 0.0 && most_per_s2.is_finite()) {
+                return;
             }
             for (factor, known) in self.factor.iter_mut().zip(&self.known) {
                 *factor *= (known.per_s2 / most_per_s2).clamp(LEAST_FACTOR, 1.0);
@@ -239,6 +249,7 @@ mod tests {
             let stiffness = stiffness_of(&body.mesh, &body.tissue);
             body.shares.find_demands(
                 &body.mesh.tetrahedra,
+                |_| true,
                 &vec![0.0; body.mesh.positions_m.len()],
                 stiffness,
             );

@@ -109,7 +109,9 @@ impl Stability {
         let uncut = if mesh.positions_m.len() > MOST_NODES_PROVEN {
             let no_ligaments = vec![0.0; mesh.positions_m.len()];
             let stiffness = |tet: TetId| stiff[tet.index()];
-            let mut shares = stability.take_mass_shares(mesh, density_kg_per_m3, &no_ligaments, stiffness);
+            let mut shares = stability.take_mass_shares(mesh, density_kg_per_m3);
+            shares.masses_mut().copy_from_slice(&masses_kg(mesh, density_kg_per_m3));
+            shares.find_demands(&mesh.tetrahedra, |_| true, &no_ligaments, stiffness);
             let bound = shares.squared_frequency_per_s2(&mesh.tetrahedra, |_| true, &no_ligaments, stiffness);
             stability.shares = Some(shares);
             bound
@@ -160,24 +162,19 @@ impl Stability {
         Self { step, tet_squared_frequency_per_s2, tet_stiffening: Vec::new(), shares: None }
     }
 
-    /// Shares of the nodes' masses for these tetrahedra. On meshes of more than [`MOST_NODES_PROVEN`] nodes they were found already,
-    /// without ligaments, and are given away.
+    /// Shares of the nodes' masses for these tetrahedra; on meshes of more than [`MOST_NODES_PROVEN`] nodes their demands are known,
+    /// without ligaments.
     pub(in crate::model) fn take_mass_shares(
         &mut self,
         mesh: &TetMesh,
         density_kg_per_m3: f64,
-        ligaments_n_per_m: &[f64],
-        stiffness: impl Fn(TetId) -> StiffTet,
     ) -> MassShares {
         if let Some(shares) = self.shares.take() {
             return shares;
         }
         let alone = (0..).map(TetId::from_index).zip(&self.tet_squared_frequency_per_s2);
         let kappa_n_per_m = alone.map(|(tet, per_s2)| per_s2 * corner_kg(mesh, density_kg_per_m3, tet));
-        let mut shares = MassShares::new(kappa_n_per_m.collect(), mesh.positions_m.len());
-        shares.masses_mut().copy_from_slice(&masses_kg(mesh, density_kg_per_m3));
-        shares.find_demands(&mesh.tetrahedra, ligaments_n_per_m, stiffness);
-        shares
+        MassShares::new(kappa_n_per_m.collect(), mesh.positions_m.len())
     }
 }
 

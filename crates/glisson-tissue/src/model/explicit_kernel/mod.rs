@@ -248,8 +248,9 @@ impl ExplicitKernel {
         };
         model.hold_supports();
         model.loads.refresh_all(&mut model.kernel);
-        // What an edit finds known is not computed in it.
-        model.stability.measure(&model.rest, &model.substance, &model.kernel);
+        if params.expects_edits {
+            model.stability.measure(&model.rest, &model.substance, &model.kernel);
+        }
         model.publish();
         Ok(model)
     }

@@ -68,6 +68,8 @@ pub struct ExplicitKernelParams<'a> {
     /// The stable step holds while all principal stretches stay within [1/s, s] for this s, from 1, if the law
     /// stiffens as it is stretched; and the kinetic energy is held against the elastic one at this stretch.
     pub largest_stretch: f64,
+    /// Whether what edits need is computed at once, as it is unless said otherwise, or in the first one.
+    pub expects_edits: bool,
     /// How to compute; [`KernelPath::fastest`] unless paths are compared.
     pub path: KernelPath,
     /// Who computes.
@@ -96,6 +98,7 @@ impl<'a> ExplicitKernelParams<'a> {
             laws: &[],
             relaxation: None,
             largest_stretch: DEFAULT_LARGEST_STRETCH,
+            expects_edits: true,
             path: KernelPath::fastest(),
             workers: Arc::new(Sequential),
         }

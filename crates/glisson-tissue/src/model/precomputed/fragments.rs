@@ -150,7 +150,11 @@ impl Fragment {
             ..DynamicBody::new(&own, material.density_kg_per_m3())
         };
         let materials = std::slice::from_ref(material);
-        let mut kernel_params = ExplicitKernelParams::new(body, KernelLaw::StableNeoHooke, materials);
+        // A piece comes in an edit, and few are cut again.
+        let mut kernel_params = ExplicitKernelParams {
+            expects_edits: false,
+            ..ExplicitKernelParams::new(body, KernelLaw::StableNeoHooke, materials)
+        };
         let undamped_s = ExplicitKernel::stable_step(&kernel_params)?.step_s;
         kernel_params.body.damping.stiffness_s = STIFFNESS_DAMPING_SHARE * undamped_s;
         let stable = ExplicitKernel::stable_step(&kernel_params)?;
